@@ -1,8 +1,9 @@
 """The one step of a build that pyproject.toml has no words for: the wheel holds what is shipped.
 
 Scenarios, plans, robots and examples lie beside the package in the repository, where tests and documents name
-them; a mapping of packages to these folders would cost the editable install its plain path.  ``site`` is what
-``make docs`` built, if it did, and ``machine_code`` what ``.ci/machine_code.py`` compiled.
+them; a mapping of packages to these folders would cost the editable install its plain path.  Of ``docs`` it
+holds the Markdown.  ``site`` is what ``make docs`` built, if it did, and ``machine_code`` what
+``.ci/machine_code.py`` compiled.
 """
 
 import shutil
@@ -11,8 +12,9 @@ from pathlib import Path
 from setuptools import setup
 from setuptools.command.build_py import build_py
 
-FOLDERS = ("scenarios", "plans", "examples", "robots", "site")
+FOLDERS = ("scenarios", "plans", "examples", "robots", "docs", "site")
 CODE = "machine_code"
+MADE_OF_DOCS = ("*.py", "*.json", "assets", "schema")  # they serve the build of the site
 
 
 class BuildWithContents(build_py):
@@ -28,7 +30,8 @@ class BuildWithContents(build_py):
         for folder, copy in (copies | {CODE: package / CODE}).items():
             shutil.rmtree(copy, ignore_errors=True)
             if Path(folder).is_dir():
-                shutil.copytree(folder, copy, ignore=shutil.ignore_patterns("__pycache__", ".*"))
+                left_out = ("__pycache__", ".*", *(MADE_OF_DOCS if folder == "docs" else ()))
+                shutil.copytree(folder, copy, ignore=shutil.ignore_patterns(*left_out))
 
 
 setup(cmdclass={"build_py": BuildWithContents})

@@ -32,6 +32,7 @@ from safety_harness.admission.driving import (
     refuse_no_action,
     refuse_no_images,
     refuse_unusable_driver,
+    refuse_unusable_filter,
 )
 from safety_harness.admission.hands import check_hands
 from safety_harness.admission.poses import (
@@ -50,9 +51,11 @@ from safety_harness.base.settings import DecisionCost, Settings, Vector3
 from safety_harness.cell.avoidance.asking import Question, ask
 from safety_harness.cell.avoidance.avoider import Avoider, decision_time_of, shown_to
 from safety_harness.cell.avoidance.gate import Gate
+from safety_harness.cell.controller.around import ControllerWrapper
 from safety_harness.cell.controller.controller import AvoidingServo
 from safety_harness.cell.controller.decision_times import decision_times_s, recorded_late, recorded_times_s
 from safety_harness.cell.controller.driven import DrivenController
+from safety_harness.cell.controller.filtered import FilterCalls, FilteredController
 from safety_harness.cell.controller.shield import Guard, guard_of
 from safety_harness.cell.robot.description import ArmModel
 from safety_harness.cell.robot.robots import (
@@ -100,14 +103,18 @@ class Admitted(Checked):
         avoider: The avoider.  It is a stand-in if a controller other than the visual servo drives the arm.
         avoider_sha256: The hash of the avoider's file; empty without a file.
         driver: The user's controller.  None: the visual servo drives the arm.
+        safety_filter: The user's filter of commands, if any.
 
     """
 
     avoider: Avoider  # NOBODY where another controller than the visual servo drives
     avoider_sha256: str  # of the file that the avoider comes from; empty for one without
     driver: MadeDriver | None = None  # None: the visual servo
+    safety_filter: MadeDriver | None = None
 
-    def controller(self, recorded: Trace | None = None) -> AvoidingServo | DrivenController:
+    def controller(
+        self, recorded: Trace | None = None
+    ) -> AvoidingServo | DrivenController | FilteredController:
         """Return a fresh controller for one run.
 
         Args:
@@ -118,9 +125,33 @@ class Admitted(Checked):
             ControllerError: The ``reset`` of a user's controller raises.
 
         """
-        if self.driver is None:
-            return self.servo(recorded)
-        return self.driven_by(self.driver.controller)
+        own = self.servo(recorded) if self.driver is None else self.driven_by(self.driver.controller)
+        return own if self.safety_filter is None else self.filtered(own, self.safety_filter.controller)
+
+    def filtered(
+        self, pilot: AvoidingServo | ControllerWrapper | DrivenController, safety_filter: UserController
+    ) -> FilteredController:
+        """Return ``pilot``, whose commands pass through ``safety_filter``, prepared for one run.
+
+        Args:
+            pilot: The controller.
+            safety_filter: The user's filter.
+
+        Raises:
+            ControllerError: The ``reset`` of the filter raises.
+
+        """
+        scenario = self.scenario
+        calls = FilterCalls(
+            safety_filter,
+            scenario.settings,
+            self.arm,
+            self.view,
+            self.joint_position_rad,
+            seed(scenario.seed, Branch.SAFETY_FILTER),
+            scenario.hand_slots,
+        )
+        return FilteredController(pilot, calls, scenario.ticks + 1)
 
     def driven_by(self, controller: UserController) -> DrivenController:
         """Return ``controller``, a user's controller, prepared for one run.
@@ -196,6 +227,14 @@ class Admitter:
     def admit(self, scenario: Scenario) -> Admitted:
         """Resolve a scenario's references and check that it can run; InadmissibleError if it cannot."""
         checked = check(scenario)
+        admitted = self._admitted(checked)
+        if not scenario.safety_filter:
+            return admitted
+        return _with_filter(admitted, self._drivers.filter_for(scenario))
+
+    def _admitted(self, checked: Checked) -> Admitted:
+        """Return the checked scenario with its avoider or controller, but without its safety filter."""
+        scenario = checked.scenario
         if scenario.driven:
             return _driven(checked, self._drivers.driver_for(scenario))
         with _placed(scenario):
@@ -249,7 +288,7 @@ class Checker:
     """The checks of an ``Admitter`` that execute no user code."""
 
     def __init__(self) -> None:
-        self._seen: set[tuple[str, Path | None, Settings]] = set()
+        self._seen: set[tuple[tuple[str, ...], Path | None, Settings]] = set()
 
     def check(self, scenario: Scenario) -> Checked:
         """Check a scenario, but neither make its avoider nor ask it a question."""
@@ -259,10 +298,11 @@ class Checker:
 
     def check_tested(self, scenario: Scenario) -> None:
         """Check only the scenario's avoider or controller, without executing user code."""
-        key = scenario.under_test, folder_of(scenario), scenario.settings
+        key = scenario.parts_under_test, folder_of(scenario), scenario.settings
         if key not in self._seen:
             with _placed(scenario):
                 (refuse_unusable_driver if scenario.driven else refuse_unusable)(scenario)
+                refuse_unusable_filter(scenario)
             self._seen.add(key)
 
 
@@ -271,6 +311,8 @@ def refuse_no_answer(scenario: Scenario) -> None:
 
     The function raises the same errors as ``admit``.
     """
+    if scenario.safety_filter:
+        Drivers().filter_for(scenario)
     if scenario.driven:
         Drivers().driver_for(scenario)
         return
@@ -320,6 +362,14 @@ def _driven(checked: Checked, driver: MadeDriver) -> Admitted:
     admitted = Admitted(**vars(checked), avoider=NOBODY, avoider_sha256="", driver=driver)
     refuse_no_action(admitted.scenario, driver, admitted.driven_by)
     return admitted
+
+
+def _with_filter(admitted: Admitted, safety_filter: MadeDriver) -> Admitted:
+    """Return the admitted scenario with its safety filter."""
+    refuse_no_images(admitted.scenario, safety_filter)
+    if safety_filter.sees_object and admitted.view is None:
+        admitted = replace(admitted, view=_check(admitted.scenario, sees_object=True).view)
+    return replace(admitted, safety_filter=safety_filter)
 
 
 def _arm_of(scenario: Scenario) -> ArmModel:

@@ -55,6 +55,7 @@ if TYPE_CHECKING:
 
 OPPOSITE, NEAREST = "opposite pose", "nearest candidate"
 NAMES = (*SHIPPED, OPPOSITE, NEAREST)
+SAFETY_FILTER = "--safety-filter"  # the option that names the filter of a trace
 FORMS = f"one of: {', '.join(NAMES)}; FILE.py:NAME; FILE{MODEL_SUFFIX}; FILE{ONNX_SUFFIX}"
 
 
@@ -175,10 +176,13 @@ def avoider_sha256(scenario: Scenario) -> str:
 
 def command_line_reference(scenario: Scenario) -> str:
     """Return the reference to the system under test, as a command line in the working directory needs it."""
+    return _from_here(scenario, scenario.under_test)
+
+
+def _from_here(scenario: Scenario, reference: str) -> str:
+    """Return a reference of the scenario's folder as a reference of the working directory."""
     folder = folder_of(scenario) or Path()
-    return with_file(
-        scenario.under_test, lambda file: file if is_shipped(file) else os.path.relpath(folder / file)
-    )
+    return with_file(reference, lambda file: file if is_shipped(file) else os.path.relpath(folder / file))
 
 
 def told_avoider(reference: str) -> str:
@@ -285,14 +289,23 @@ def replay_command(
     """
     parts = ["safety-harness", verb, *(str(shown_path(file)) for file in (trace, *more_traces))]
     if is_a_program(scenario.under_test):
-        reference = command_line_reference(scenario)
-        program = told_avoider(os.path.abspath(reference) if file_and_name(reference)[0] else reference)
-        parts += [option_of(scenario.under_test), program]
+        parts += [option_of(scenario.under_test), _named_here(command_line_reference(scenario))]
+    if scenario.safety_filter:
+        parts += [SAFETY_FILTER, _named_here(_from_here(scenario, scenario.safety_filter))]
     return shlex.join(parts)
 
 
+def _named_here(reference: str) -> str:
+    """Return a reference from the working directory as a command for this machine shows it."""
+    return told_avoider(os.path.abspath(reference) if file_and_name(reference)[0] else reference)
+
+
 def with_program(
-    scenario: Scenario, tested: str | None, file: Path | None = None, verb: str = "replay"
+    scenario: Scenario,
+    tested: str | None,
+    file: Path | None = None,
+    verb: str = "replay",
+    safety_filter: str | None = None,
 ) -> Scenario:
     """Return the scenario of a trace with the avoider or controller that the user gave.
 
@@ -303,15 +316,25 @@ def with_program(
         tested: The user's reference; None: the trace's own.
         file: The file of the trace, for the error.
         verb: The command that repeats the run, for the hint.
+        safety_filter: The user's reference of the safety filter; None: the trace's own.
 
     Raises:
-        TraceError: The trace's own system is a program, and ``tested`` is None.
+        TraceError: A program of the trace is not named by the user.
 
     """
+    if safety_filter is not None:
+        if not scenario.safety_filter:
+            expected = "a trace with a safety filter"
+            raise TraceError(place=Place(file=file, field=SAFETY_FILTER), expected=expected, got="none")
+        scenario = with_filter(scenario, safety_filter)
+    unnamed = scenario.safety_filter if safety_filter is None else ""
     if tested is not None:
-        return with_avoider(scenario, tested)
-    if is_a_program(scenario.under_test):
-        option, got = option_of(scenario.under_test), f"a trace made with {scenario.under_test}"
+        scenario = with_avoider(scenario, tested)
+    elif is_a_program(scenario.under_test):
+        unnamed = scenario.under_test
+    if unnamed:
+        option = SAFETY_FILTER if unnamed == scenario.safety_filter else option_of(unnamed)
+        got = f"a trace made with {unnamed}"
         place = Place(file=file, field=option.removeprefix("--"))
         expected = f"the program named with {option}, since repeating the run executes it"
         hint = "" if file is None else replay_command(scenario, file, verb=verb)
@@ -363,6 +386,11 @@ def is_a_program(reference: str) -> bool:
 def is_executed(reference: str) -> bool:
     """Return whether a run executes the file of ``reference``: a program, or a function in ONNX."""
     return is_a_program(reference) or names_onnx(reference)
+
+
+def executes(scenario: Scenario) -> bool:
+    """Return whether a run of the scenario executes a user's file as its system or its safety filter."""
+    return any(map(is_executed, scenario.parts_under_test))
 
 
 def folder_of(scenario: Scenario) -> Path | None:
@@ -460,8 +488,19 @@ def as_seen_from(folder: Path, scenario: Scenario) -> Scenario:
     old_folder = scenario.file.parent if scenario.file else Path()
     moved = scenario.with_files(lambda path: named_from(folder, old_folder / path))
     moved = replace(moved, file=folder / "scenario.yaml")
+    if scenario.safety_filter:
+        moved = with_filter(moved, _from_here(scenario, scenario.safety_filter))
     has_file = bool(file_and_name(scenario.under_test)[0])
     return with_avoider(moved, command_line_reference(scenario)) if has_file else moved
+
+
+def with_filter(scenario: Scenario, reference: str) -> Scenario:
+    """Return the scenario with the safety filter ``reference``; a relative file is in the working directory.
+
+    InadmissibleError if the reference cannot be written into a scenario file.
+    """
+    place = Place(field=SAFETY_FILTER)
+    return replace(scenario, **_placed(scenario, "safety_filter", "a safety filter", reference, place))
 
 
 def with_system_of(like: Scenario, scenario: Scenario) -> Scenario:

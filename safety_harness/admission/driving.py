@@ -13,7 +13,12 @@ from safety_harness.admission.avoiders import avoider_sha256, folder_of
 from safety_harness.base.exceptions import AvoiderError, ControllerError, InadmissibleError, Place
 from safety_harness.base.settings import ImageSource
 from safety_harness.cell.avoidance.avoider import Avoider, Proposal, Vector
-from safety_harness.cell.controller.named import controller_of, controller_sha256, refuse_unusable_controller
+from safety_harness.cell.controller.named import (
+    NAMES,
+    controller_of,
+    controller_sha256,
+    refuse_unusable_controller,
+)
 from safety_harness.cell.controller.python_file import checked_controller
 from safety_harness.cell.robot.robots import urdf_sha256_of
 from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN, AvoiderSilent
@@ -23,6 +28,8 @@ from safety_harness.seams.contract import (
     DECISIONS,
     IMAGE,
     OBJECT,
+    SIGHTS,
+    WANTED,
     Image,
     UserController,
     reports_of,
@@ -97,8 +104,30 @@ class Drivers:
         """Return the scenario's controller; InadmissibleError at its key if it does not exist."""
         key = scenario.controller, folder_of(scenario)
         if key not in self._made:
-            make = controller_of(*key, scenario.place("controller"))
-            self._made[key] = MadeDriver(make(), make, controller_sha256(*key))
+            made = self._made_of(key, scenario.place("controller"))
+            try:
+                sees_of(made.controller, SIGHTS)
+            except ControllerError as error:
+                expected = "a controller, which sees no wanted command"
+                raise scenario.inadmissible(expected, str(error), "controller") from error
+        return self._made[key]
+
+    def filter_for(self, scenario: Scenario) -> MadeDriver:
+        """Return the scenario's safety filter; InadmissibleError at its key if it does not exist."""
+        place, folder = scenario.place("safety filter"), folder_of(scenario)
+        refuse_unusable_filter(scenario)
+        key = scenario.safety_filter, folder
+        made = self._made.get(key) or self._made_of(key, place)
+        if WANTED not in sees_of(made.controller):
+            hint = "a filter that does not see the command can only replace it: that is a controller"
+            expected, got = f'a safety filter with "{WANTED}" in its sees', ", ".join(made.controller.sees)
+            raise InadmissibleError(place=place, expected=expected, got=got or "nothing", hint=hint)
+        return made
+
+    def _made_of(self, key: tuple[str, Path | None], place: Place) -> MadeDriver:
+        """Return the controller or filter of a reference and folder, made now."""
+        make = controller_of(*key, place)
+        self._made[key] = MadeDriver(make(), make, controller_sha256(*key))
         return self._made[key]
 
 
@@ -117,19 +146,41 @@ def refuse_unusable_driver(scenario: Scenario) -> None:
     refuse_unusable_controller(scenario.controller, folder_of(scenario), scenario.place("controller"))
 
 
+def refuse_unusable_filter(scenario: Scenario) -> None:
+    """Raise those errors of a safety filter that can be found without executing user code."""
+    reference, place = scenario.safety_filter, scenario.place("safety filter")
+    if not reference:
+        return
+    if scenario.shield is not None:
+        expected = "a shield or a safety filter, because each must be the last before the drives"
+        raise InadmissibleError(place=place, expected=expected, got="both")
+    if names_onnx(reference) or reference in NAMES:
+        expected = "a safety filter: FILE.py:NAME, exec:COMMAND, tcp:HOST:PORT or unix:PATH"
+        raise InadmissibleError(place=place, expected=expected, got=repr(reference))
+    refuse_unusable_controller(reference, folder_of(scenario), place)
+
+
 def named_system(scenario: Scenario) -> SystemUnderTest:
     """Return the system under test as the scenario's references name it; no avoider or controller is made.
 
     A file appears by its name, without its folder.
     """
-    file, name = file_and_name(scenario.under_test)
-    called = f"{Path(file).name}:{name}" if name else Path(file).name or str(scenario.under_test)
+    called = _called(scenario.under_test)
     if scenario.driven:
         sha256 = controller_sha256(scenario.controller, folder_of(scenario))
         own = {"controller": Component(name=called, sha256=sha256)}
     else:
         own = {"avoider": Component(name=called, sha256=avoider_sha256(scenario))}
+    if reference := scenario.safety_filter:
+        sha256 = controller_sha256(reference, folder_of(scenario))
+        own["safety_filter"] = Component(name=_called(reference), sha256=sha256)
     return system_of(scenario, robot_sha256=urdf_sha256_of(scenario.robot), **own)
+
+
+def _called(reference: str) -> str:
+    """Return the reference of a part with its file named without the folder."""
+    file, name = file_and_name(reference)
+    return f"{Path(file).name}:{name}" if name else Path(file).name or str(reference)
 
 
 def refuse_no_action(scenario: Scenario, driver: MadeDriver, driven_by: Callable[..., Any]) -> None:

@@ -143,13 +143,16 @@ def driven_in(trace: Trace) -> DrivenRun | None:
     None means that the run broke off, or that its questions can be repeated instead.
     """
     scenario = trace.scenario
-    if not (scenario.driven or is_a_program(scenario.avoider)) or not trace.complete:
+    programs = scenario.driven or is_a_program(scenario.avoider) or scenario.safety_filter
+    if not programs or not trace.complete:
         return None
     commands = trace.ticks["demanded_joint_velocity_radps"].tobytes()
     commands += trace.decisions["proposed_position_in_base_m"].tobytes()
     digest = hashlib.sha256(commands + trace.ticks["joint_position_rad"].tobytes()).hexdigest()
-    sha256 = trace.system.tested.sha256
-    return DrivenRun(scenario.name, trace.provenance.world, digest, sha256, not scenario.driven)
+    filters = trace.system.safety_filter
+    sha256 = trace.system.tested.sha256 + ("" if filters is None else filters.sha256)
+    asks = not (scenario.driven or scenario.safety_filter)
+    return DrivenRun(scenario.name, trace.provenance.world, digest, sha256, asks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +226,9 @@ class Repeatability:
             if again >= LEAST_RUNS and time.monotonic() - begun_s > allowed_s:
                 break
             try:
-                otherwise = _driven_otherwise(run, scenario(), result.who)
+                chosen = scenario()
+                who = f"{result.who} or its safety filter" if chosen.safety_filter else result.who
+                otherwise = _driven_otherwise(run, chosen, who)
             except (InputError, SimulationError) as error:
                 problem = f"the {result.who} could not drive again: {printable(str(error))}"
                 return replace(result, asked=again, words=problem)

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
 from safety_harness.admission.admit import Admitted, admit
-from safety_harness.admission.avoiders import is_executed
+from safety_harness.admission.avoiders import executes
 from safety_harness.admission.trial import run_trial
 from safety_harness.base.exceptions import described
 from safety_harness.base.pool import pool
@@ -41,7 +41,7 @@ class RunProcesses:
 
         An exception of the other process is raised here.
         """
-        if self.executor is None or is_executed(admitted.scenario.under_test):
+        if self.executor is None or executes(admitted.scenario):
             return None
         while self._waiting and (len(self._begun) < _AHEAD * self.jobs or id(admitted) not in self._begun):
             self._begin(self.executor, self._waiting.popleft())
@@ -73,7 +73,7 @@ def run_processes(
     With fewer than FEWEST_RUNS runs, no process starts.  At the end of the block, unfinished runs are
     dropped.
     """
-    movable = deque(run for run in admitted if not is_executed(run.scenario.under_test))
+    movable = deque(run for run in admitted if not executes(run.scenario))
     jobs = jobs or len(os.sched_getaffinity(0))
     if jobs < 2 or len(movable) < FEWEST_RUNS:
         yield RunProcesses(world)

@@ -27,6 +27,7 @@ class Branch(IntEnum):
     CONTROLLER = 11
     ENVIRONMENT = 12
     PROOF = 13
+    SAFETY_FILTER = 14
 
 
 def generator(root: int, branch: Branch, *path: int) -> np.random.Generator:

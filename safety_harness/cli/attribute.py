@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from safety_harness.admission.avoiders import option_of
+from safety_harness.admission.avoiders import SAFETY_FILTER, option_of
 from safety_harness.base.input_errors import InputErrors
 from safety_harness.cell.simulation.worlds import PYBULLET
 from safety_harness.cli.console import BAD_INPUT, document, next_step, result, say
@@ -14,7 +14,13 @@ from safety_harness.cli.progress import TERMINAL
 from safety_harness.report.attribution_job import DATA, PICTURE, TRACE, AttributionResult, attribute
 
 
-def attribute_runs(paths: Sequence[Path], avoider: str | None, out: Path | None, confirm: bool) -> int:
+def attribute_runs(
+    paths: Sequence[Path],
+    avoider: str | None,
+    out: Path | None,
+    confirm: bool,
+    safety_filter: str | None = None,
+) -> int:
     """Attribute the violations of runs, print and write the result, and return the exit code.
 
     Args:
@@ -22,10 +28,13 @@ def attribute_runs(paths: Sequence[Path], avoider: str | None, out: Path | None,
         avoider: the program that made the traces; None if they need no program.
         out: the folder to write into; None writes no files.
         confirm: whether each attribution is repeated in PyBullet.
+        safety_filter: the safety filter that made the traces; None if they have none.
 
     """
     try:
-        made = attribute(paths, avoider=avoider, confirm=confirm, output=TERMINAL)
+        made = attribute(
+            paths, avoider=avoider, safety_filter=safety_filter, confirm=confirm, output=TERMINAL
+        )
     except InputErrors as error:
         say(f"{len(error.errors)} of the inputs cannot be used; nothing was run.")
         return BAD_INPUT
@@ -35,6 +44,7 @@ def attribute_runs(paths: Sequence[Path], avoider: str | None, out: Path | None,
         return code
     if made.attributions and not confirm and PYBULLET.is_installed:
         chosen = [] if avoider is None else [option_of(avoider), str(avoider)]
+        chosen += [] if safety_filter is None else [SAFETY_FILTER, safety_filter]
         command = ["safety-harness", "attribute", *map(str, paths), *chosen, "--confirm"]
         next_step(shlex.join(command), f"the same in {PYBULLET.label}")
     else:

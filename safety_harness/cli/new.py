@@ -22,7 +22,8 @@ from safety_harness.cli.options import command
 commands = Typer()
 FOLDER = Path(__file__).parent / "templates"
 SUFFIXES = (".yaml", ".yml")
-AVOIDER, CONTROLLER, SUITE, RECORDING = "{}_avoider.py", "{}_controller.py", "test_{}.py", "{}_recording.csv"
+AVOIDER, CONTROLLER, FILTER = "{}_avoider.py", "{}_controller.py", "{}_filter.py"
+SUITE, RECORDING = "test_{}.py", "{}_recording.csv"
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,9 @@ TEMPLATES = {
     ),
     "controller": Template(
         "a controller of your own: a Python file and a scenario", (("controller.py.txt", CONTROLLER),)
+    ),
+    "filter": Template(
+        "a safety filter of your own: a Python file and a scenario", (("filter.py.txt", FILTER),)
     ),
 }
 
@@ -153,6 +157,7 @@ def _texts(name: str, template: Template, scenario: Path) -> dict[Path, str]:
         "@RECORDING@": RECORDING.format(stem),
         "@AVOIDER@": AVOIDER.format(stem),
         "@CONTROLLER@": CONTROLLER.format(stem),
+        "@FILTER@": FILTER.format(stem),
         "@TEST@": SUITE.format(stem),
     }
     pattern = re.compile("|".join(replacements))

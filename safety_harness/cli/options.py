@@ -48,6 +48,14 @@ OfController = Annotated[
         metavar="CONTROLLER",
     ),
 ]
+OfFilter = Annotated[
+    str | None,
+    Option(
+        "--safety-filter",
+        help="The safety filter of the trace, named again because it is executed: FILE.py:NAME or a program.",
+        metavar="FILTER",
+    ),
+]
 OfReference = Annotated[
     str | None,
     Option(

@@ -40,18 +40,19 @@ from safety_harness.trace.trace import Provenance, Trace
 from safety_harness.trace.unmeasured import refuse_not_simulated
 
 
-def replay(path: Path, avoider: str | None = None) -> int:
+def replay(path: Path, avoider: str | None = None, safety_filter: str | None = None) -> int:
     """Repeat a recorded run; print "identical" or the first step that differs; return the exit code.
 
     The function also asks a second avoider the same questions, which reveals an avoider with a memory.
-    ``avoider`` names the program of the user's own avoider again.  A stranger may have made the trace, so the
-    trace itself must not choose what is executed.
+    ``avoider`` and ``safety_filter`` name the user's programs again.  A stranger may have made the trace, so
+    the trace itself must not choose what is executed.
     """
     stored = load_trace(path)
     refuse_not_simulated(stored, path)
     world = world_of_trace(stored.provenance.world)
-    admitted = admit(with_program(stored.scenario, avoider, path))
+    admitted = admit(with_program(stored.scenario, avoider, path, safety_filter=safety_filter))
     _refuse_other(stored, admitted, path)
+    _refuse_other_filter(stored, admitted, path)
     with watching_runs([stored.scenario], TERMINAL) as progress:
         progress.begin(0)
         fresh = run_trial(admitted, world=world, recorded=stored, on_tick=progress.tick)
@@ -101,6 +102,14 @@ def _refuse_other(stored: Trace, admitted: Admitted, path: Path) -> None:
     if then.name != now.name or differs or (known and known != now.sha256):
         place = Place(file=path, field="controller")
         raise TraceError(place=place, expected=f"{then}, which drove then", got=_named(now, admitted))
+
+
+def _refuse_other_filter(stored: Trace, admitted: Admitted, path: Path) -> None:
+    """Raise TraceError if the hash of the safety filter differs from the trace's."""
+    then, now = stored.system.safety_filter, admitted.safety_filter
+    if then is not None and now is not None and then.sha256 not in ("", now.sha256):
+        place = Place(file=path, field="safety filter")
+        raise TraceError(place=place, expected=f"{then}, which filtered then", got=str(now.component))
 
 
 def _named(now: Component, admitted: Admitted) -> str:

@@ -15,6 +15,7 @@ from safety_harness.cli.options import (
     KeepGoing,
     OfAvoider,
     OfController,
+    OfFilter,
     OfReference,
     OfSpace,
     OfWorld,
@@ -195,12 +196,13 @@ def replay(
     trace: Annotated[Path, Argument(help="A .trace file of an earlier run.", metavar="TRACE")],
     avoider: OfAvoider = None,
     controller: OfController = None,
+    safety_filter: OfFilter = None,
 ) -> int:
     """Repeat a recorded run bit by bit.
 
     The answer is "identical", or the first step that differs.
-    If a program of yours made the trace, name that program by --avoider or --controller, because the replay
-    executes it. A controller with another hash is refused.
+    If a program of yours made the trace, name that program by --avoider, --controller or --safety-filter,
+    because the replay executes it. A controller or filter with another hash is refused.
 
     Exit code 0: identical.
     Exit code 1: it differs.
@@ -210,7 +212,7 @@ def replay(
     from safety_harness.admission.avoiders import one_of
     from safety_harness.cli.replay import replay as replay_trace
 
-    return replay_trace(trace, one_of(avoider, controller))
+    return replay_trace(trace, one_of(avoider, controller), safety_filter)
 
 
 @command(commands)
@@ -324,6 +326,7 @@ def attribute(
     ],
     avoider: OfAvoider = None,
     controller: OfController = None,
+    safety_filter: OfFilter = None,
     out: AttributionOut = None,
     confirm: Confirm = False,
 ) -> int:
@@ -344,4 +347,4 @@ def attribute(
     from safety_harness.admission.avoiders import one_of
     from safety_harness.cli.attribute import attribute_runs
 
-    return attribute_runs(runs, one_of(avoider, controller), out, confirm)
+    return attribute_runs(runs, one_of(avoider, controller), out, confirm, safety_filter)

@@ -23,7 +23,18 @@ from safety_harness.cli.console import AS_EXPECTED, document, next_step, result,
 from safety_harness.cli.options import command
 
 commands = Typer()
-REFERRING = ("arm", "avoider", "capsules", "extends", "recording", "robot", "scenarios", "space", "urdf")
+REFERRING = (
+    "arm",
+    "avoider",
+    "capsules",
+    "extends",
+    "recording",
+    "robot",
+    "safety filter",
+    "scenarios",
+    "space",
+    "urdf",
+)
 
 
 @command(commands, "list", then="safety-harness copy shipped:NAME")
@@ -122,23 +133,35 @@ def docs(
 ) -> int:
     """Open the package's documents in a browser.
 
-    The path goes to standard output; without a terminal or a browser that is all.
+    Where they were not built as a site, a terminal shows the section as text. The path goes to standard
+    output; without a terminal that is all.
 
     Exit code 0: there is the page.
-    Exit code 2: an unknown section, or documents that were not built (make docs).
+    Exit code 2: an unknown section.
     """
-    from safety_harness.base.shipped.documents import missing, path_of, section_named, site
+    from safety_harness.base.shipped.documents import Section, path_of, section_named, text_of
 
     heading = " ".join(section or [])
-    path, anchor = path_of(section_named(heading)) if heading else (site() / "index.html", "")
-    if not path.is_file():
-        raise missing()
+    found = section_named(heading) if heading else Section("index", "the first page")
+    path, anchor = path_of(found)
     place = f"#{anchor}" if anchor else ""
     document(file=path, section=anchor or None)
     result(f"{path}{place}")
-    if not where and sys.stdout.isatty():
+    if where or not sys.stdout.isatty():
+        return AS_EXPECTED
+    if path.suffix == ".md":
+        _show(text_of(found))
+    else:
         _open(path.as_uri() + place)
     return AS_EXPECTED
+
+
+def _show(text: str) -> None:
+    """Show a text in Markdown on the terminal."""
+    from rich.console import Console
+    from rich.markdown import Markdown
+
+    Console().print(Markdown(text))
 
 
 def _open(uri: str) -> None:

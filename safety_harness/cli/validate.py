@@ -35,13 +35,14 @@ from safety_harness.scenario.expand import Gathered, gather
 from safety_harness.scenario.fields import every_mistake
 from safety_harness.scenario.kinds import added_input
 from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.nodes import TESTED
 from safety_harness.scenario.ours import aside_lines
 from safety_harness.space.read import space_of
 from safety_harness.space.space import ScenarioSpace
 
 _Made = TypeVar("_Made")
 # Top-level keys whose examples need no remark about an avoider or controller.
-_CHANGE_WHAT_IS_TESTED = frozenset({"avoider", "controller", "robot", "settings", "camera"})
+_CHANGE_WHAT_IS_TESTED = frozenset({*TESTED, "robot", "settings", "camera"})
 
 
 def validate(paths: Sequence[Path], avoider: str | None = None) -> int:

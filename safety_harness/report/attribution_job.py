@@ -44,6 +44,7 @@ def attribute(
     *,
     avoider: str | None = None,
     controller: str | None = None,
+    safety_filter: str | None = None,
     confirm: bool = False,
     output: Output = QUIET,
 ) -> AttributionResult:
@@ -58,6 +59,7 @@ def attribute(
             folder.
         avoider: The avoider of a trace, which you name again because the harness executes its program.
         controller: The controller of a trace, which you name again for the same reason.
+        safety_filter: The safety filter of a trace, which you name again for the same reason.
         confirm: Whether to repeat in PyBullet each violation, and each run with the blamed parts changed.
         output: The ``Output`` that shows the progress.
 
@@ -69,7 +71,7 @@ def attribute(
     tested = one_of(avoider, controller)
     if confirm:
         PYBULLET.opener()
-    scenarios, errors = _scenarios(runs, tested)
+    scenarios, errors = _scenarios(runs, tested, safety_filter)
     admitted, refused = usable(scenarios, Admitter().admit)
     if all_refused := each_once([*errors, *refused]):
         for error in all_refused:
@@ -171,7 +173,7 @@ def _lines(cause: Attribution, confirming: Admitted | None) -> Iterator[str]:
 
 
 def _scenarios(
-    runs: Attributable | Iterable[Attributable], avoider: str | None
+    runs: Attributable | Iterable[Attributable], avoider: str | None, safety_filter: str | None
 ) -> tuple[list[Scenario], list[InputError]]:
     """Return the scenarios to repeat, and the errors.
 
@@ -205,17 +207,17 @@ def _scenarios(
     gathered = gather(files) if files else None
     named = [*(gathered.scenarios if gathered else ()), *scenarios]
     chosen, refused = usable(named, lambda item: item if avoider is None else with_avoider(item, avoider))
-    violated, unread = usable(traces, lambda path: _violated(load_trace(path), path, avoider))
-    more, unusable = usable(kept, lambda item: _violated(*item, avoider))
+    violated, unread = usable(traces, lambda path: _violated(load_trace(path), path, avoider, safety_filter))
+    more, unusable = usable(kept, lambda item: _violated(*item, avoider, safety_filter))
     violated, unread = [*violated, *more], [*unread, *unusable]
     errors += [*(gathered.errors if gathered else ()), *refused, *unread]
     return [*chosen, *(item for item in violated if item.claims)], errors
 
 
-def _violated(trace: Trace, path: Path | None, avoider: str | None) -> Scenario:
+def _violated(trace: Trace, path: Path | None, avoider: str | None, safety_filter: str | None) -> Scenario:
     """Return the scenario of a trace with only the claims that the trace violates."""
     refuse_not_simulated(trace, path)
-    scenario = with_program(trace.scenario, avoider, path, verb="attribute")
+    scenario = with_program(trace.scenario, avoider, path, "attribute", safety_filter)
     evaluations = judge(trace, file=path)
     claims = tuple(
         replace(claim, expected=Verdict.VIOLATED)

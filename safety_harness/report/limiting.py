@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.proportions import share_words
 from safety_harness.trace.records import Limit, Mode
 from safety_harness.trace.trace import Trace
 
@@ -18,6 +19,7 @@ LIMIT_NAMES = {
     Limit.JOINT_SPEED: "joint speed",
     Limit.SINGULARITY: "stop near a singularity",
 }
+BY_FILTER = "safety filter"
 SPEEDS = {LIMIT_NAMES[Limit.TCP_SPEED], LIMIT_NAMES[Limit.JOINT_SPEED]}
 OFTEN = 0.5  # a share of commands at a limit of speed from which the scale of the actions is in doubt
 
@@ -46,23 +48,39 @@ def limited_data(trace: Trace) -> dict[str, Any] | None:
     if counts is None:
         return None
     by_limit = {name: counts[name] for name in LIMIT_NAMES.values() if counts[name]}
+    if trace.scenario.safety_filter:
+        by_limit[BY_FILTER] = _changed(trace)
     return {"commands": int(_moving(trace).sum()), "limited": counts[""], "by_limit": by_limit}
 
 
 def limit_lines(traces: Iterable[Trace]) -> list[str]:
     """Return a line for each user's controller whose commands a limit changed, with a hint if often.
 
-    The visual servo has no line, because it relies on the limit of the TCP's speed.
+    The visual servo has no line, because it relies on the limit of the TCP's speed. Each safety filter has a
+    line with the number of commands that it changed.
     """
     commands: Counter[str] = Counter()
     limited: dict[str, Counter[str]] = {}
+    changed: dict[str, tuple[int, int]] = {}
     for trace in traces:
+        if (by := trace.system.safety_filter) is not None and not trace.known.missing(["limits"]):
+            before, of_all = changed.get(by.name, (0, 0))
+            changed[by.name] = before + _changed(trace), of_all + len(trace.ticks)
         counts = limited_commands(trace) if trace.scenario.driven else None
         if counts is not None:
             name = trace.system.controller.name
             commands[name] += int(_moving(trace).sum())
             limited.setdefault(name, Counter()).update(counts)
-    return [_line(name, counts, commands[name]) for name, counts in limited.items() if counts[""]]
+    lines = [_line(name, counts, commands[name]) for name, counts in limited.items() if counts[""]]
+    return lines + [
+        f"{BY_FILTER} {name}: changed {count:,} of {of_all:,} commands ({share_words(count, of_all)})"
+        for name, (count, of_all) in changed.items()
+    ]
+
+
+def _changed(trace: Trace) -> int:
+    """Return how many commands the safety filter changed."""
+    return int(np.count_nonzero(trace.ticks["limits"] & int(Limit.SAFETY_FILTER)))
 
 
 def _line(name: str, counts: Counter[str], commands: int) -> str:

@@ -172,6 +172,7 @@ def changes(scenario: Scenario) -> list[tuple[str, str, str]]:
 def tested_words(scenario: Scenario, system: SystemUnderTest) -> str:
     """Return what a verdict is about: avoider or controller, shield, gate, and each changed setting."""
     shield = [] if scenario.shield is None else [f"shield {scenario.shield.kind.value}"]
+    shield += [f"safety filter {system.safety_filter.name}"] if system.safety_filter else []
     gate = [] if scenario.gate is None else [f"gate {', '.join(scenario.gate.demands)}"]
     changed = (f"{name} {value}" for name, _, value in changes(scenario))
     return ", ".join([system.label, *shield, *gate, *changed]) + unknown_files(scenario)
@@ -182,9 +183,11 @@ def unknown_files(scenario: Scenario) -> str:
 
     The text is empty if the system under test is neither a started nor a listening program.
     """
-    if not names_a_program(scenario.under_test):
+    programs = [reference for reference in scenario.parts_under_test if names_a_program(reference)]
+    if not programs:
         return ""
-    declared = ", but for those that it declares in HARNESS_FILES" * scenario.under_test.startswith(EXEC)
+    declares = all(program.startswith(EXEC) for program in programs)
+    declared = ", but for those that it declares in HARNESS_FILES" * declares
     return f"; which files this program opens is not known{declared}"
 
 

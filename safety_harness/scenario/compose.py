@@ -17,7 +17,7 @@ from safety_harness.base.exceptions import Place, ScenarioError, near_miss
 from safety_harness.base.shipped.contents import located
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.files import ALL, decode, foreign, has_a_key, read_bytes, resolved
-from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence, parse_tree
+from safety_harness.scenario.nodes import TESTED, Mapping, Node, Scalar, Sequence, parse_tree
 from safety_harness.scenario.references import avoider_seen_from, seen_from
 from safety_harness.scenario.robots import FILES, robot_seen_from
 from safety_harness.scenario.units import shown
@@ -268,8 +268,7 @@ def _changes(node: Node) -> Iterator[tuple[str, ...]]:
 def _moved(node: Node, folder: Path, target: Path) -> Node:
     """Return ``node`` with its file names, relative to ``folder``, rewritten relative to ``target``."""
     rewrites: dict[str, _Rewrite] = {
-        "avoider": lambda text: avoider_seen_from(target, text, folder),
-        "controller": lambda text: avoider_seen_from(target, text, folder),
+        **{key: lambda text: avoider_seen_from(target, text, folder) for key in TESTED},
         "recording": lambda text: seen_from(target, text, folder),
         **{key: lambda text: robot_seen_from(target, text, folder) for key in ("robot", "arm")},
         **{key: lambda text: seen_from(target, text, folder) for key in FILES},

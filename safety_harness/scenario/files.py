@@ -17,7 +17,18 @@ from safety_harness.base.shipped.contents import is_installed, located, shipped_
 TITLES = ("scenario", "scenario space", "suite")
 # Keys that few other programs have.
 KEYS = (
-    *("extends", "without", "matrix", "tcp start", "avoider", "hands", "faults", "hand sensor", "claims"),
+    *(
+        "extends",
+        "without",
+        "matrix",
+        "tcp start",
+        "avoider",
+        "safety filter",
+        "hands",
+        "faults",
+        "hand sensor",
+        "claims",
+    ),
     *("scenarios", "plan", "strata", "proof"),
 )
 # Keys that are ours only beside a title.

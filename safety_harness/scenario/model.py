@@ -432,6 +432,7 @@ class Scenario:
         obstacles: The boxes in the cell.
         controller: The reference of the controller that drives the arm.
         shield: The shield between controller and drives; None: no shield.
+        safety_filter: The reference of the user's filter between controller and drives; empty: no filter.
         gate: The gate's demands beyond its own checks; None: no further demands.
         extensions: Keys that packages add, each with its value.
         file: The file; None: a scenario from a text.
@@ -454,6 +455,7 @@ class Scenario:
     obstacles: tuple[Obstacle, ...] = ()
     controller: str = VISUAL_SERVO
     shield: Shield | None = None
+    safety_filter: str = ""
     gate: GateRule | None = None
     extensions: tuple[tuple[str, Any], ...] = ()  # keys that packages add, each with its value
     file: Path | None = field(default=None, compare=False)
@@ -523,6 +525,11 @@ class Scenario:
     def under_test(self) -> str:
         """The reference of the system under test: the visual servo's avoider, or otherwise a ``Driver``."""
         return Driver(self.controller) if self.driven else self.avoider
+
+    @property
+    def parts_under_test(self) -> tuple[str, ...]:
+        """The references of the system under test and of its safety filter, if any."""
+        return (self.under_test, self.safety_filter) if self.safety_filter else (self.under_test,)
 
     @property
     def hand_slots(self) -> int:

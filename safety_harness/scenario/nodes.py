@@ -207,7 +207,8 @@ def _line(event: Event) -> int:
     return int(event.start_mark.line) + 1
 
 
-REFERRING = ("avoider", "controller", "recording")  # keys whose values name files
+TESTED = ("avoider", "controller", "safety filter")  # keys whose values name parts under test
+REFERRING = (*TESTED, "recording")  # keys whose values name files
 
 
 def references_in(node: Node, keys: tuple[str, ...] = REFERRING, *, inside: bool = False) -> Iterator[str]:

@@ -211,6 +211,16 @@ TOP = KeyTable(
             fallback=None,
         ),
         Key(
+            "safety filter",
+            Text(kind="file or program", expected="the file and name of a safety filter"),
+            "a program of yours that may change each command on its way to the drives, in place of a shield "
+            "([safety filters](how-to/filter.md))",
+            "mine.py:Filter",
+            "none",
+            attribute="safety_filter",
+            fallback="",
+        ),
+        Key(
             "gate",
             Below(tables=(GATE,)),
             "what the gate asks for beside its checks ([gate](reference/controller.md#the-gate))",

@@ -39,6 +39,8 @@ def tree_of(scenario: Scenario, *, all_settings: bool = False) -> dict[str, Tree
             del tree[key]
     if not scenario.driven:
         del tree["controller"]
+    if not scenario.safety_filter:
+        del tree["safety filter"]
     if scenario.hands:
         tree["hands"] = [_hand(hand) for hand in scenario.hands]
     if scenario.faults:

@@ -33,6 +33,7 @@ class SightWord:
 
 JOINTS, HANDS, HAND_BOXES = "joints", "hands", "hand boxes"
 OBJECT, IMAGE, PREDICTED_HANDS = "object", "image", "predicted hands"
+WANTED = "wanted command"  # only of a safety filter
 SIGHTS = (
     SightWord(
         JOINTS,
@@ -48,6 +49,10 @@ SIGHTS = (
         ("predicted_hands",),
         "tracked hands from the Kalman filter, predicted to now and the horizon, with covariance",
     ),
+)
+FILTER_SIGHTS = (
+    *SIGHTS,
+    SightWord(WANTED, ("wanted_command",), "the command that the controller wants at this tick"),
 )
 
 MODE, DECISIONS, DOUBT = "mode", "decisions", "doubt"
@@ -128,6 +133,22 @@ class Image:
     pixels: NDArray[np.uint8]
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class WantedCommand:
+    """The command that the controller wants at this tick, within the limits.
+
+    ``joint_velocity_radps`` (n,) are the joints' speeds. If ``stop``, the controller wants a protective stop.
+    """
+
+    joint_velocity_radps: Floats
+    stop: bool
+
+    @property
+    def action(self) -> Action:
+        """The action that leaves the command as it is."""
+        return Stop() if self.stop else Move(joint_velocity_radps=self.joint_velocity_radps)
+
+
 class UnseenError(ControllerError, AttributeError):
     """A controller read a field that its ``sees`` does not list."""
 
@@ -152,6 +173,7 @@ class Seen:
     object: SeenObject
     image: Image
     predicted_hands: tuple[PredictedHand, ...]
+    wanted_command: WantedCommand
 
     def __init__(self, *, time_s: float, period_s: float, **seen: Any) -> None:
         self.__dict__.update(seen, time_s=time_s, period_s=period_s)
@@ -179,7 +201,7 @@ class Seen:
         if maker is not None:
             value = own[name] = maker(own["_row"])
             return value
-        for sight in SIGHTS:
+        for sight in FILTER_SIGHTS:
             if name in sight.fields:
                 raise UnseenError(f'{name} is not seen: "{sight.word}" is not among this controller\'s sees')
         hint = near_miss(name, [known.name for known in fields(self)])
@@ -346,9 +368,9 @@ class ControllerOpener:
     sha256: Callable[[str], str] | None = None
 
 
-def sees_of(controller: UserController) -> tuple[str, ...]:
-    """Return the controller's ``sees`` in the order of ``SIGHTS``; ControllerError if a word is unknown."""
-    return _words_of(controller, "sees", getattr(controller, "sees", None), SIGHTS)
+def sees_of(controller: UserController, sights: tuple[SightWord, ...] = FILTER_SIGHTS) -> tuple[str, ...]:
+    """Return the controller's ``sees`` in the order of ``sights``; ControllerError if a word is unknown."""
+    return _words_of(controller, "sees", getattr(controller, "sees", None), sights)
 
 
 def reports_of(controller: UserController) -> tuple[str, ...]:

@@ -20,11 +20,13 @@ from safety_harness.seams.contract import (
     JOINTS,
     OBJECT,
     PREDICTED_HANDS,
+    WANTED,
     HandBoxes,
     PredictedHand,
     Seen,
     SeenHand,
     SeenObject,
+    WantedCommand,
 )
 from safety_harness.trace.records import JOINTS as SHIPPED_JOINTS
 from safety_harness.trace.records import TRACKS_PER_HAND
@@ -69,6 +71,8 @@ def seen_dtype(hands: int, joints: int = SHIPPED_JOINTS) -> np.dtype[Any]:
             ("predicted", np.float64, (boxes, 3)),
             ("predicted_velocity", np.float64, (boxes, 3)),
             ("predicted_covariance", np.float64, (boxes, 6, 6)),
+            ("wanted_radps", np.float64, (joints,)),  # the last two only for a safety filter
+            ("wanted_stop", np.int64),
         ],
         align=True,
     )
@@ -118,6 +122,7 @@ _LAST = {
     OBJECT: "feature_error",
     PREDICTED_HANDS: "predicted_covariance",
     IMAGE: "time_s",
+    WANTED: "wanted_stop",
 }
 
 
@@ -161,6 +166,12 @@ def _makers(dtype: np.dtype[Any], sees: tuple[str, ...]) -> Iterator[tuple[str, 
         yield "object", _object(array, whole)
     if PREDICTED_HANDS in sees:
         yield "predicted_hands", _predicted(array, whole)
+    if WANTED in sees:
+        rates, stop = array("wanted_radps"), whole("wanted_stop")
+        yield (
+            "wanted_command",
+            lambda row: WantedCommand(joint_velocity_radps=rates(row), stop=bool(stop(row)[0])),
+        )
 
 
 def _boxes(array: Callable[[str], Maker], whole: Callable[[str], Maker]) -> Maker:

@@ -308,7 +308,9 @@ def counterexample_of(
     last = in_one_world(world, admit(shrunk.scenario), first if shrunk.scenario == scenario else None)
     claim = None if complaint.kind or shrunk.interrupted else complaint.claim
     affordable = allowance.has() or not allowance.explained
-    explanation = Explanation() if claim is None or not affordable else explain(shrunk.scenario, claim)
+    # A shrunk run may end before a change fails, so it would count changes that only gain time.
+    as_found = replace(scenario, name=shrunk.scenario.name)
+    explanation = Explanation() if claim is None or not affordable else explain(as_found, claim)
     allowance.spent_s += explanation.cost_s
     allowance.explained |= bool(explanation.lines)
     draws = not (shrunk.interrupted or shrunk.scenario.driven)
@@ -324,11 +326,16 @@ def counterexample_of(
         tuple(filter(None, (complaint.reference_words(last.run), *circumstances(last.run))))
         if isinstance(last.run, Trace)
         else (),
-        explanation.lines,
+        _of_run_as_found(explanation.lines, same=shrunk.scenario == scenario),
         confirm.share_of_draws(shrunk.scenario, DRAWS) if drawn else None,
         explanation.causes or (complaint.kind,) * bool(complaint.kind),
         is_cut and not shrunk.interrupted,
     )
+
+
+def _of_run_as_found(lines: tuple[str, ...], *, same: bool) -> tuple[str, ...]:
+    """Return the lines of an explanation; they name the run as found unless it is the ``same`` run."""
+    return lines if same or not lines else (f"{lines[0]} (of the run as found)", *lines[1:])
 
 
 def text_of(case: Counterexample, origin: Sequence[str], trace_file: Path | None) -> str:

@@ -14,7 +14,7 @@ from safety_harness.base.exceptions import InputError, refuse_other_type
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.files import as_path
 from safety_harness.scenario.model import Scenario
-from safety_harness.scenario.nodes import Scalar
+from safety_harness.scenario.nodes import TESTED, Scalar
 from safety_harness.space.read import space_of
 from safety_harness.space.space import ScenarioSpace, each_to_hold
 from safety_harness.space.strategy import strategy
@@ -97,7 +97,7 @@ def one_system(space: ScenarioSpace) -> Scenario | None:
 
     The result is None if the space varies the avoider or controller.
     """
-    tested = [value for key, value in space.template.entries if key.text in ("avoider", "controller")]
+    tested = [value for key, value in space.template.entries if key.text in TESTED]
     return space.simplest if all(isinstance(value, Scalar) for value in tested) else None
 
 

@@ -67,6 +67,7 @@ def first_inconsistency(trace: Trace) -> Inconsistency | None:
         _decisions,
         _ticks,
         _interventions,
+        _filtered,
     )
     flaws = (flaw for check in checks for flaw in check(trace))
     return next((flaw for flaw in flaws if _is_known(trace.known, flaw)), None)
@@ -114,7 +115,9 @@ def _ticks(trace: Trace) -> Iterator[Inconsistency]:
         np.array(trace.decisions["tick"]),  # a view's type for numba depends on its length
         scenario.settings.clock.control_period_s,
         len(scenario.hands),
-        limits := LIMITS if scenario.shield is not None else LIMITS & ~int(Limit.SHIELD),
+        limits := LIMITS
+        & ~(int(Limit.SHIELD) * (scenario.shield is None))
+        & ~(int(Limit.SAFETY_FILTER) * (not scenario.safety_filter)),
         np.array([_times_s(scenario, fault) for fault in scenario.faults]).reshape(-1, 2),
     )
     if first.min() >= len(ticks):
@@ -151,6 +154,22 @@ def _interventions(trace: Trace) -> Iterator[Inconsistency]:
     flagged, scale = ticks["limits"] & int(Limit.SHIELD) != 0, done["scale"]
     bad = ((scale < 1.0) != flagged) | ~((scale >= 0.0) & (scale <= 1.0))
     yield from at_first(bad, "limits", "tick", "the flag SHIELD where the shield scaled", ticks["limits"])
+
+
+def _filtered(trace: Trace) -> Iterator[Inconsistency]:
+    """Check that the flag of the safety filter is set at each tick whose command it changed."""
+    wanted, ticks = trace.filtered, trace.ticks
+    if not trace.scenario.safety_filter or trace.known.missing(["limits"]):
+        return
+    if len(wanted) != len(ticks):
+        yield Inconsistency(
+            "limits", "trace", len(wanted), f"wanted commands of {len(ticks)} ticks", str(len(wanted))
+        )
+        return
+    flagged = ticks["limits"] & int(Limit.SAFETY_FILTER) != 0
+    changed = (wanted["wanted_radps"] != ticks["demanded_joint_velocity_radps"]).any(axis=1)
+    expected = "the flag SAFETY_FILTER where the safety filter changed the command"
+    yield from at_first(changed & ~flagged, "limits", "tick", expected, ticks["limits"])
 
 
 def _times_s(scenario: Scenario, fault: Fault) -> tuple[float, float]:

@@ -42,6 +42,7 @@ class Limit(IntFlag):
     SINGULARITY = 8
     BRAKING = 16
     SHIELD = 32
+    SAFETY_FILTER = 64
 
 
 class Trigger(IntEnum):
@@ -188,6 +189,13 @@ def decision_dtype(joints: int = JOINTS) -> np.dtype[Any]:
 
 
 DECISION = decision_dtype()
+
+
+@lru_cache
+def filtered_dtype(joints: int = JOINTS) -> np.dtype[Any]:
+    """Return FILTERED: the command that the controller wanted, which a safety filter may have changed."""
+    return np.dtype([("wanted_radps", np.float64, (joints,)), ("wanted_stop", np.bool_)], align=True)
+
 
 # What a scenario's shield did in a tick: the share of the wanted speed that it allowed, and the capsule
 # nearest to the hand that caused this share; -1 without such a hand, or before the first frame.

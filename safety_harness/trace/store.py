@@ -42,11 +42,12 @@ from safety_harness.trace.records import (
     DECISION,
     INTERVENTION,
     decision_dtype,
+    filtered_dtype,
     intervention_dtype,
     tick_dtype,
 )
 from safety_harness.trace.system import Component, Line, SystemUnderTest, system_of
-from safety_harness.trace.trace import Provenance, Trace, no_interventions, not_recorded
+from safety_harness.trace.trace import Provenance, Trace, no_interventions, not_filtered, not_recorded
 
 FORMAT = "safety-harness trace 4"
 IN_PART = "safety-harness trace 5"  # this format states what is known of its columns; others know all
@@ -57,6 +58,7 @@ ARRAY_HEADER_BYTES = 20_000  # room for the header of an array
 KNOWN = "known.json"
 CERTIFIED = "certified.json"  # only if a user asked for proofs
 INTERVENTIONS = "interventions.npy"  # only for a scenario with a shield
+FILTERED = "filtered.npy"  # only for a scenario with a safety filter
 OVERSHOOT = "overshoot.npy"  # only where an engine's sub-steps were recorded
 CARRIED = ("recordings/", "robot/")  # files of the scenario by their SHA-256
 MOST_PARTS = 12 + MAX_HANDS
@@ -112,6 +114,8 @@ def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] |
     }
     if trace.scenario.shield is not None:
         arrays[INTERVENTIONS] = _fields_alone(trace.interventions)
+    if trace.scenario.safety_filter:
+        arrays[FILTERED] = _fields_alone(trace.filtered)
     if len(trace.overshoot_radps):
         arrays[OVERSHOOT] = trace.overshoot_radps.ravel()
     for name, array in arrays.items():
@@ -169,8 +173,12 @@ def _portable(scenario: Scenario) -> Scenario:
     def name(path: str) -> str:
         return portable(path, folder)
 
-    avoider, controller = with_file(scenario.avoider, name), with_file(scenario.controller, name)
-    return replace(scenario.with_files(name), avoider=avoider, controller=controller)
+    return replace(
+        scenario.with_files(name),
+        avoider=with_file(scenario.avoider, name),
+        controller=with_file(scenario.controller, name),
+        safety_filter=with_file(scenario.safety_filter, name),
+    )
 
 
 def _recording(scenario: Scenario, hand: RecordedHand) -> bytes:
@@ -256,6 +264,11 @@ class _Reader:
             interventions = self._array(archive, INTERVENTIONS, dtype, most, INTERVENTION)
             if len(interventions) != len(ticks):
                 raise self._error(f"{len(ticks)}, one a tick", str(len(interventions)), INTERVENTIONS)
+        filtered = not_filtered()
+        if scenario.safety_filter:
+            filtered = self._array(archive, FILTERED, filtered_dtype(joints), most)
+            if len(filtered) != len(ticks):
+                raise self._error(f"{len(ticks)}, one a tick", str(len(filtered)), FILTERED)
         overshoot_radps = not_recorded()
         if OVERSHOOT in self._parts:
             overshoot_radps = self._array(archive, OVERSHOOT, np.dtype(np.float64), joints * most)
@@ -283,6 +296,7 @@ class _Reader:
             known=known,
             system=run.system or system_of(scenario, avoider=avoider),
             interventions=interventions,
+            filtered=filtered,
             certified=certified,
             overshoot_radps=overshoot_radps,
         )

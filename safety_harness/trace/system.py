@@ -38,8 +38,8 @@ class SystemUnderTest:
     """The controller in a run, the arm and its perception. Traces, ledgers and pages carry it.
 
     Only the visual servo has ``avoider`` and ``gate``. ``robot`` has the hash of its URDF and of the contents
-    of all its files. ``gate``, ``perception`` and ``settings`` have the hash of their settings. ``shield`` is
-    None without a shield.
+    of all its files. ``gate``, ``perception`` and ``settings`` have the hash of their settings. ``shield``
+    and ``safety_filter`` are None without one.
     """
 
     controller: Component
@@ -49,6 +49,7 @@ class SystemUnderTest:
     robot: Component
     settings: Component
     shield: Component | None = None
+    safety_filter: Component | None = None
 
     @property
     def tested(self) -> Component:
@@ -59,6 +60,11 @@ class SystemUnderTest:
         """Return the system with ``sha256`` as the hash of the file that contains the user's part."""
         part = replace(self.tested, sha256=sha256)
         return replace(self, controller=part) if self.avoider is None else replace(self, avoider=part)
+
+    def of_filter(self, sha256: str) -> SystemUnderTest:
+        """Return the system with ``sha256`` as the hash of the safety filter's file, if it has a filter."""
+        part = self.safety_filter
+        return self if part is None else replace(self, safety_filter=replace(part, sha256=sha256))
 
     @property
     def label(self) -> str:
@@ -73,8 +79,9 @@ class SystemUnderTest:
 
     @property
     def as_dict(self) -> dict[str, Any]:
-        """The parts as a dictionary for storage, with the key ``shield`` only if there is a shield."""
-        return {name: part for name, part in asdict(self).items() if name != "shield" or part is not None}
+        """The parts as a dictionary for storage, with a shield or safety filter only if there is one."""
+        optional = ("shield", "safety_filter")
+        return {name: part for name, part in asdict(self).items() if name not in optional or part is not None}
 
     @property
     def as_json(self) -> str:
@@ -98,6 +105,7 @@ def system_of(
     avoider: Component | None = None,
     controller: Component | None = None,
     robot_sha256: str = "",
+    safety_filter: Component | None = None,
 ) -> SystemUnderTest:
     """Return the system of a run whose arm a ``controller`` drives, or the visual servo with ``avoider``.
 
@@ -106,6 +114,7 @@ def system_of(
         avoider: The avoider. None for a controller.
         controller: The user's controller. None: the visual servo.
         robot_sha256: The hash of the robot's URDF, without the settings of its mounting.
+        safety_filter: The user's filter between controller and drives, if any.
 
     """
     settings, robot = scenario.settings, scenario.robot
@@ -123,6 +132,7 @@ def system_of(
         robot=Component(name=robot.label, sha256=robot_sha256),
         settings=whole,
         shield=_shield(scenario.shield),
+        safety_filter=safety_filter,
     )
 
 

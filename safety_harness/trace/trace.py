@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from safety_harness.scenario.model import Scenario
 from safety_harness.trace.certified import CertifiedDecisions
 from safety_harness.trace.known import WHOLLY_KNOWN, Knowledge
-from safety_harness.trace.records import INTERVENTION
+from safety_harness.trace.records import INTERVENTION, filtered_dtype
 from safety_harness.trace.system import NOT_NOTED, Line, SystemUnderTest
 
 R = TypeVar("R")
@@ -23,6 +23,11 @@ R = TypeVar("R")
 def no_interventions() -> NDArray[np.void]:
     """Return the empty array (0,) of INTERVENTION, for a run without a shield."""
     return np.zeros(0, INTERVENTION)
+
+
+def not_filtered() -> NDArray[np.void]:
+    """Return the empty array (0,) of FILTERED, for a run without a safety filter."""
+    return np.zeros(0, filtered_dtype())
 
 
 def not_recorded() -> NDArray[np.float64]:
@@ -72,6 +77,7 @@ class Trace:
         known: Which columns were measured, and how exactly.
         system: The system under test.
         interventions: (n,) INTERVENTION of the shield, one a tick; empty without a shield.
+        filtered: (n,) FILTERED, what the safety filter got at each tick; empty without a filter.
         overshoot_radps: (n, joints) by how much a joint's speed left the range between its speeds at a tick
             and at the next. An engine records it in its sub-steps. (0, 0) if not recorded.
         answer_s: (k,) the wall-clock time of each answer of a user's controller [s]. It is neither stored nor
@@ -88,6 +94,7 @@ class Trace:
     known: Knowledge = WHOLLY_KNOWN
     system: SystemUnderTest = NOT_NOTED
     interventions: NDArray[np.void] = field(default_factory=no_interventions)
+    filtered: NDArray[np.void] = field(default_factory=not_filtered)
     certified: CertifiedDecisions | None = None
     overshoot_radps: NDArray[np.float64] = field(default_factory=not_recorded)
     answer_s: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
@@ -97,6 +104,7 @@ class Trace:
         self.decisions.setflags(write=False)
         self.decision_latency_s.setflags(write=False)
         self.interventions.setflags(write=False)
+        self.filtered.setflags(write=False)
         self.overshoot_radps.setflags(write=False)
         self.known.refuse_gaps_beyond(self.ticks, len(self.scenario.hands))
 

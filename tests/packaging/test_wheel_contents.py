@@ -16,7 +16,7 @@ from safety_harness.base.compiled import source_hash
 from safety_harness.base.shipped.contents import PREFIX, contents, shipped_files
 
 ROOT = Path(__file__).parents[2]
-PARTS = ("safety_harness", "scenarios", "plans", "examples", "robots")
+PARTS = ("safety_harness", "scenarios", "plans", "examples", "robots", "docs")
 FILES = ("pyproject.toml", "setup.py", "MANIFEST.in", "README.md", "LICENSE")
 
 
@@ -68,6 +68,8 @@ def test_the_wheel_holds_everything_that_has_a_name(wheel: Path) -> None:
                 assert f"safety_harness/base/shipped/{file.relative_to(contents()).as_posix()}" in held
     assert "safety_harness/base/shipped/site/index.html" in held
     assert "safety_harness/base/shipped/plans/oracles.json" in held
+    pages = [page.relative_to(ROOT).as_posix() for page in (ROOT / "docs").rglob("*.md")]
+    assert {f"safety_harness/base/shipped/{page}" for page in pages} <= {*held}
     assert "safety_harness/base/shipped/scenarios/recordings/LICENSE" in held
     assert not [name for name in held if name.startswith(("scenarios", "tests"))]
 

@@ -1,13 +1,19 @@
-"""The documents of the package: the packaged site, its sections by name, and the search for a section."""
+"""The documents of the package: the site if it was built, otherwise Markdown; sections by name.
+
+Every installation contains the Markdown.
+"""
 
 from __future__ import annotations
 
 import json
+import re
+from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from safety_harness.base.exceptions import Place, ScenarioError, near_miss
-from safety_harness.base.shipped.contents import contents, is_installed
+from safety_harness.base.exceptions import ScenarioError, near_miss
+from safety_harness.base.shipped.contents import contents
 
 COMMAND = "safety-harness docs"
 
@@ -25,25 +31,47 @@ def site() -> Path:
     return contents() / "site"
 
 
-def missing() -> ScenarioError:
-    """Return the error for a site that was not built."""
-    markdown = contents() / "docs"
-    hint = f"make docs builds it; as Markdown it is in {markdown}"
-    return ScenarioError(
-        place=Place(field="docs"),
-        expected="the documents as a site",
-        got=f"none in {site()}",
-        hint="this package was built without it: make wheel packs it" if is_installed() else hint,
-    )
+def markdown() -> Path:
+    """Return the folder of the documents as Markdown."""
+    return contents() / "docs"
 
 
 def sections() -> tuple[Section, ...]:
-    """Return every page and heading of the site; ScenarioError if there is no site."""
+    """Return every page and heading of the site, or of the Markdown if there is no site."""
     index = site() / "search.json"
-    if not index.is_file():
-        raise missing()
-    items = json.loads(index.read_text(encoding="utf-8"))["items"]
-    return tuple(Section(item["location"].replace(".html", "", 1), item["title"]) for item in items)
+    if index.is_file():
+        items = json.loads(index.read_text(encoding="utf-8"))["items"]
+        return tuple(Section(item["location"].replace(".html", "", 1), item["title"]) for item in items)
+    return tuple(section for page in sorted(markdown().rglob("*.md")) for section, _ in _headings(page))
+
+
+def _headings(page: Path) -> Iterator[tuple[Section, int]]:
+    """Yield a page and each of its headings with its line, from 0; a page has the title of its first one."""
+    name, slugs, code = page.relative_to(markdown()).with_suffix("").as_posix(), Counter[str](), False
+    for line, text in enumerate(page.read_text(encoding="utf-8").splitlines()):
+        code ^= text.startswith("```")
+        if code or not text.startswith("#"):
+            continue
+        title = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", text.lstrip("# ")).replace("`", "")
+        slug = re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", title).strip().lower())
+        anchor = f"#{slug}" + (f"_{slugs[slug]}" if slugs[slug] else "")
+        if not slugs:
+            yield Section(name, title), line
+        yield Section(name + anchor, title), line
+        slugs[slug] += 1
+
+
+def text_of(section: Section) -> str:
+    """Return the Markdown of a section, up to the next heading that is not below it."""
+    page = markdown() / f"{section.name.partition('#')[0]}.md"
+    lines, begin, level = page.read_text(encoding="utf-8").splitlines(), -1, 0
+    for heading, line in _headings(page):
+        depth = len(lines[line]) - len(lines[line].lstrip("#"))
+        if 0 <= begin < line and depth <= level:
+            return "\n".join(lines[begin:line])
+        if heading.name == section.name:
+            begin, level = line, depth
+    return "\n".join(lines[max(begin, 0) :])
 
 
 def section_named(text: str) -> Section:
@@ -71,14 +99,15 @@ def section_named(text: str) -> Section:
 
 def _present(name: str) -> str:
     """Return the present name of a page or section; ``docs/moved.yaml`` maps earlier names to it."""
-    file = site() / "moved.yaml"
-    lines = file.read_text(encoding="utf-8").splitlines() if file.is_file() else []
+    file = next((file for file in (site() / "moved.yaml", markdown() / "moved.yaml") if file.is_file()), None)
+    lines = [] if file is None else file.read_text(encoding="utf-8").splitlines()
     moved = dict(line.split(": ", 1) for line in lines if not line.startswith("#"))
     page, mark, anchor = name.partition("#")
     return moved.get(name, f"{moved.get(page, page)}{mark}{anchor}")
 
 
 def path_of(section: Section) -> tuple[Path, str]:
-    """Return the file that contains a section, and the section's anchor in the file."""
+    """Return the file that contains a section, a page of the site or Markdown, and the section's anchor."""
     page, _, anchor = section.name.partition("#")
-    return site() / f"{page}.html", anchor
+    made = site() / f"{page}.html"
+    return (made if made.is_file() else markdown() / f"{page}.md"), anchor

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from safety_harness.base.exceptions import AvoiderError, ControllerError
 from safety_harness.scenario.decision_times import LONGEST_S
-from safety_harness.seams.contract import IMAGE, sees_of
+from safety_harness.seams.contract import IMAGE, SIGHTS, sees_of
 from safety_harness.trace.records import ENDLESS
 
 Vector = NDArray[np.float64]  # (3,)
@@ -124,7 +124,7 @@ def shown_to(avoider: Avoider) -> tuple[str, ...]:
     if getattr(avoider, "sees", None) is None:
         return ()
     try:
-        sees = sees_of(avoider)  # type: ignore[arg-type]  # it reads this attribute only
+        sees = sees_of(avoider, SIGHTS)  # type: ignore[arg-type]  # it reads this attribute only
     except ControllerError as error:
         raise AvoiderError(str(error)) from error
     if IMAGE in sees:

@@ -17,6 +17,7 @@ from safety_harness.cell.avoidance.gate import ask_many
 from safety_harness.cell.controller.around import ControllerWrapper
 from safety_harness.cell.controller.controller import AvoidingServo, Controller
 from safety_harness.cell.controller.driven import DrivenController
+from safety_harness.cell.controller.filtered import FilteredController
 from safety_harness.cell.robot.robots import arm_model, urdf_sha256_of
 from safety_harness.cell.simulation.driving import Lane, drive
 from safety_harness.cell.simulation.kinematic_world import KinematicWorld
@@ -26,10 +27,11 @@ from safety_harness.scenario.model import Scenario
 from safety_harness.trace.provenance import provenance
 from safety_harness.trace.records import Limit, tick_dtype
 from safety_harness.trace.system import Component, SystemUnderTest, system_of
-from safety_harness.trace.trace import Trace, no_interventions, not_recorded
+from safety_harness.trace.trace import Trace, no_interventions, not_filtered, not_recorded
 from safety_harness.trace.unmeasured import knowing
 
 INTERRUPTED = "interrupted by the user"
+WITH_USER = DrivenController | FilteredController  # these may see images, and report only a part
 
 
 def simulate(
@@ -56,7 +58,7 @@ def simulate(
         except KeyboardInterrupt:
             ended = INTERRUPTED
         return trace_of(scenario, world, controller, ticks[: lane.done], ended)
-    if isinstance(controller, DrivenController) and isinstance(world, ShowsImages):
+    if isinstance(controller, WITH_USER) and isinstance(world, ShowsImages):
         controller.sees_images_of(world.image)
     try:
         for k in range(len(ticks)):
@@ -128,10 +130,11 @@ def trace_of(
         ended=ended,
         system=_system(scenario, controller),
         interventions=_interventions(scenario, controller)[: len(ticks)].copy(),
+        filtered=_filtered(scenario, controller)[: len(ticks)].copy(),
         overshoot_radps=getattr(world, "overshoot_radps", not_recorded())[: len(ticks)].copy(),
         answer_s=np.array(getattr(controller, "answers_took_s", ())),
     )
-    return knowing(trace, controller.known) if isinstance(controller, DrivenController) else trace
+    return knowing(trace, controller.known) if isinstance(controller, WITH_USER) else trace
 
 
 def _interventions(scenario: Scenario, controller: Controller) -> NDArray[np.void]:
@@ -142,12 +145,24 @@ def _interventions(scenario: Scenario, controller: Controller) -> NDArray[np.voi
     return interventions
 
 
+def _filtered(scenario: Scenario, controller: Controller) -> NDArray[np.void]:
+    """Return the filter's FILTERED (n,); raise ``ControllerError`` if the controller bypasses the filter."""
+    if isinstance(controller, FilteredController):
+        return controller.filtered
+    if scenario.safety_filter:
+        raise ControllerError(f"{controller.name!r} drives the arm past the safety filter of its scenario")
+    return not_filtered()
+
+
 def _system(scenario: Scenario, controller: Controller) -> SystemUnderTest:
     """Return the system under test of a run; the code that reads a user's file adds the file's hash."""
-    part = Component(name=controller.name)
+    part, by_filter = Component(name=controller.name), None
+    if isinstance(controller, FilteredController):
+        by_filter, controller = Component(name=controller.calls.name), controller.pilot
     asks = isinstance(controller, AvoidingServo | ControllerWrapper)
     own = {"avoider" if asks else "controller": part}
-    return system_of(scenario, robot_sha256=urdf_sha256_of(scenario.robot), **own)
+    sha256 = urdf_sha256_of(scenario.robot)
+    return system_of(scenario, robot_sha256=sha256, safety_filter=by_filter, **own)
 
 
 @dataclass(eq=False)

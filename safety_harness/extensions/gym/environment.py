@@ -31,6 +31,7 @@ from safety_harness.seams.contract import (
     IMAGE,
     JOINTS,
     PREDICTED_HANDS,
+    SIGHTS,
     DrivenArm,
     Seen,
     Start,
@@ -95,7 +96,7 @@ class Setting:
         self.episodes = Episodes(scenario, space, self.world)
         first = self.episodes.first
         self.pilot = Pilot(sees)
-        self.sees = sees_of(self.pilot)
+        self.sees = sees_of(self.pilot, SIGHTS)
         self.joints = len(first.arm.joint_names)
         self.rewards = Rewards.of_claims(rewards, ends, first)
         seen = np.zeros(1, seen_dtype(first.scenario.hand_slots, self.joints))

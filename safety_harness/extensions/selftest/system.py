@@ -85,9 +85,11 @@ class ChangedSystem:
         admitted = self.admitted
         scenario = admitted.scenario
         if admitted.driver is not None:
-            controller: Controller = admitted.driven_by(admitted.driver.make())
+            controller: Any = admitted.driven_by(admitted.driver.make())
         else:
             controller = self._servo()
+        if admitted.safety_filter is not None:
+            controller = admitted.filtered(controller, admitted.safety_filter.make())
         with world.open(scenario, admitted.arm, admitted.joint_position_rad) as episode:
             for wrap in self.worlds:
                 episode = wrap(episode)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,6 +18,8 @@ from safety_harness.extensions.assurance.certification.folder import junit_xml
 from safety_harness.extensions.assurance.certification.page import render
 from safety_harness.extensions.assurance.certification.results import claims_of, strata_of
 from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
+from safety_harness.trace.answer_times import AnswersTook
+from safety_harness.trace.overruling import Overruling
 from tests.assurance.campaign.plans import PLAN, ledger_in, plan_in
 from tests.assurance.certification.made_up_evidence import evidence
 
@@ -25,7 +28,16 @@ CLAIMED = "  - claim: The avoider answered\n    violated in at most: 50 %\nkeep:
 WHY = "the avoider gave no answer: ValueError"
 
 
-def row(stratum: int, episode: int, claims: int, *, silent: int = 0, why: str = WHY) -> Row:
+def row(
+    stratum: int,
+    episode: int,
+    claims: int,
+    *,
+    silent: int = 0,
+    why: str = WHY,
+    overruling: Overruling = Overruling(),  # noqa: B008  # it is frozen
+    times: AnswersTook = AnswersTook(),  # noqa: B008
+) -> Row:
     return Row(
         stratum=stratum,
         episode=episode,
@@ -37,6 +49,8 @@ def row(stratum: int, episode: int, claims: int, *, silent: int = 0, why: str = 
         opposite=silent,
         faults=silent,
         run_error=why if silent else "",
+        overruling=overruling,
+        times=times,
     )
 
 
@@ -89,6 +103,35 @@ def test_nothing_is_shown_in_green_of_an_avoider_that_never_answered(tmp_path: P
     assert found == [ClaimStatus.SHOWN, ClaimStatus.DOUBTED]
     assert "the avoider did not answer: with the fallback in its place in 40 of 40 decisions" in why[1]
     assert counts[0].summary.startswith("the avoider did not always answer")
+
+
+@pytest.mark.parametrize(
+    ("row_of_second", "status", "words"),
+    [
+        ({"overruling": Overruling(2, 1, 1)}, ClaimStatus.DOUBTED, "the gate overruled all 40 proposals"),
+        ({"overruling": Overruling(4, 1, 2)}, ClaimStatus.SHOWN, ""),
+        (
+            {"times": AnswersTook(2, 2, 0.3, 0.008)},
+            ClaimStatus.DOUBTED,
+            "(100 %) took longer",
+        ),
+        ({"times": AnswersTook(4, 2, 0.3, 0.008)}, ClaimStatus.SHOWN, ""),
+    ],
+)
+def test_a_target_met_without_the_avoider_or_with_late_answers_is_in_doubt(
+    tmp_path: Path, row_of_second: dict[str, Any], status: ClaimStatus, words: str
+) -> None:
+    plan = plan_in(tmp_path, IN_PYBULLET)
+    with ledger_in(tmp_path, plan) as ledger:
+        count = len(plan.claims)
+        ledger.record(row(0, k, count) for k in range(30))
+        ledger.record(row(1, k, count, **row_of_second) for k in range(20))
+        first, second = claims_of(plan, ledger)[0].outcomes
+        found = [item.text for item in of_strata(ledger, strata_of(plan, ledger))]
+    assert (first.standing, second.standing) == (ClaimStatus.SHOWN, status)
+    assert words in second.why
+    hidden = any("more of the gate and its fallback than of the avoider" in text for text in found)
+    assert hidden == ("overruling" in row_of_second)
 
 
 def test_page_argument_and_junit_say_it_in_their_headlines() -> None:

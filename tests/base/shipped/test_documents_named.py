@@ -152,12 +152,40 @@ def test_an_unknown_section_gets_the_nearest(small_site: Path, capsys: pytest.Ca
     assert 'did you mean "claims' in capsys.readouterr().err
 
 
-def test_without_a_site_it_says_where_the_markdown_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.fixture
+def no_site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(documents, "site", lambda: tmp_path / "none")
-    for words in ([], ["claims"]):
-        assert docs(words) == BAD_INPUT
-        told = capsys.readouterr().err
-        assert "make docs" in told
-        assert str(ROOT / "docs") in told
+
+
+@pytest.mark.usefixtures("no_site")
+def test_without_a_site_the_markdown_has_the_same_sections() -> None:
+    assert {section.name for section in documents.sections()} == names_of_sections()
+
+
+@pytest.mark.usefixtures("no_site")
+@pytest.mark.parametrize(
+    ("words", "place"),
+    [
+        ([], "index.md"),
+        (["how-to/avoider"], "how-to/avoider.md"),
+        (["how-to/avoider#a-python-file"], "how-to/avoider.md#a-python-file"),
+        (["state-table"], "reference/controller.md"),
+    ],
+)
+def test_without_a_site_the_markdown_is_found(
+    words: list[str], place: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert docs(words) == AS_EXPECTED
+    assert capsys.readouterr().out == f"{ROOT}/docs/{place}\n"
+
+
+@pytest.mark.usefixtures("no_site")
+def test_the_text_of_a_section_ends_before_the_next() -> None:
+    section = documents.section_named("how-to/avoider#a-python-file")
+    page = (ROOT / "docs/how-to/avoider.md").read_text()
+    text = documents.text_of(section)
+    assert text in page
+    assert text.startswith("## ")
+    assert text.count("\n## ") == 0
+    whole = documents.text_of(documents.section_named("how-to/avoider"))
+    assert whole == page[page.index("# ") :].rstrip("\n")

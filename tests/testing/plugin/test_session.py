@@ -374,9 +374,7 @@ def test_what_is_compiled_in_a_captured_test_is_said_on_the_terminal(run, pytest
     )
     result = run()
     result.assert_outcomes(passed=1)
-    result.stdout.fnmatch_lines(
-        ["compiling the control stack for this machine, *so far: 3, 2 s"]
-    )
+    result.stdout.fnmatch_lines(["compiling the control stack for this machine, *so far: 3, 2 s"])
     run("-s").stdout.fnmatch_lines(["compiling the control stack *"])
     run("-p", "no:terminal").stdout.no_fnmatch_line("compiling*")
 

@@ -18,8 +18,8 @@ from msgspec.structs import asdict
 from safety_harness.base.settings import Settings
 from safety_harness.cell.controller.answers import NOT_REPORTED
 from safety_harness.seams.contract import (
+    FILTER_SIGHTS,
     REPORTS,
-    SIGHTS,
     Action,
     Decision,
     DrivenArm,
@@ -45,7 +45,7 @@ class Hello(ProcessMessage, tag="hello"):
     """The first message of the harness to a program."""
 
     protocol: str = PROTOCOL
-    sights: tuple[str, ...] = tuple(entry.word for entry in SIGHTS)
+    sights: tuple[str, ...] = tuple(entry.word for entry in FILTER_SIGHTS)
     reports: tuple[str, ...] = tuple(entry.word for entry in REPORTS)
 
 
@@ -176,7 +176,7 @@ to_the_process = decoder_of(Make | Reset | ActOnRows)
 def fields_of(seen: Seen, sees: tuple[str, ...]) -> dict[str, Any]:
     """Return the view for a program, with the pixels of an image only if the image is new."""
     fields: dict[str, Any] = {"time_s": seen.time_s, "period_s": seen.period_s}
-    for sight in SIGHTS:
+    for sight in FILTER_SIGHTS:
         if sight.word in sees:
             fields |= {name: getattr(seen, name) for name in sight.fields}
     image = fields.get("image")

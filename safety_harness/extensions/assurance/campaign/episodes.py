@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted, Admitter
-from safety_harness.admission.avoiders import is_executed
+from safety_harness.admission.avoiders import executes
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.repeatability import driven_in
 from safety_harness.admission.spaces import MAX_REJECTION_RATIO, why_refused
@@ -152,7 +152,7 @@ class EpisodeRunner:
         for k in range(MAX_REJECTION_RATIO):
             try:
                 scenario = self.scenario(stratum, episode, k, first if k == 0 else None)
-                if not self.programs and is_executed(scenario.under_test):
+                if not self.programs and executes(scenario):
                     raise CampaignError(f"{scenario.name} names a program, which is not to be executed")
                 return Drawn(episode, k + 1, self._admitter.admit(scenario))
             except InputError as error:

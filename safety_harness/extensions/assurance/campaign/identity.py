@@ -24,7 +24,7 @@ from safety_harness.cell.simulation.worlds import libraries_of, worlds_by_label
 from safety_harness.scenario.compose import Library
 from safety_harness.scenario.files import read_bytes, resolved
 from safety_harness.scenario.model import EDITION
-from safety_harness.scenario.nodes import references_in
+from safety_harness.scenario.nodes import TESTED, references_in
 from safety_harness.scenario.references import file_and_name
 from safety_harness.scenario.robots import AnyRobot, OwnRobot
 from safety_harness.space.space import ScenarioSpace
@@ -153,9 +153,9 @@ def files_of_plan(
     """
     named = [plan.resolve(), *library.files, *further]
     for space in spaces:
-        avoiders = (file_and_name(text)[0] for text in references_in(space.tree, ("avoider", "controller")))
+        tested = (file_and_name(text)[0] for text in references_in(space.tree, TESTED))
         folder = space.file.parent if space.file else Path()
-        named += _existing((*avoiders, *references_in(space.tree, ("recording",))), folder)
+        named += _existing((*tested, *references_in(space.tree, ("recording",))), folder)
         named += _existing(map(str, _files_of(space.simplest.robot)), Path())
     if avoider is not None:
         named += _existing([file_and_name(avoider)[0]], plan.parent)

@@ -53,7 +53,7 @@ from safety_harness.scenario.model import (
     Scenario,
     Verdict,
 )
-from safety_harness.scenario.nodes import Node, Scalar, references_in
+from safety_harness.scenario.nodes import REFERRING, Node, Scalar, references_in
 from safety_harness.scenario.references import file_and_name, portable
 from safety_harness.scenario.units import FRACTION
 from safety_harness.space.read import space_of
@@ -277,7 +277,7 @@ def stratum_number(name: str) -> int:
 
 def scenarios_by_avoider(plan: Plan) -> Iterable[Scenario]:
     """Return one scenario for each avoider or controller that the plan's runs use."""
-    scenarios: dict[str, Scenario] = {}
+    scenarios: dict[tuple[str, str], Scenario] = {}
     for stratum in plan.strata:
         simplest = plan.with_avoider(stratum.space.simplest)
         further: list[Scenario] = []
@@ -289,8 +289,10 @@ def scenarios_by_avoider(plan: Plan) -> Iterable[Scenario]:
                 for tested in references_in(tree, ("controller",))
                 if tested != VISUAL_SERVO
             ]
+        filters = references_in(stratum.space.tree, ("safety filter",))
+        further += [replace(simplest, safety_filter=text) for text in filters]
         for tested in (simplest, *further):
-            scenarios.setdefault(command_line_reference(tested), tested)
+            scenarios.setdefault((command_line_reference(tested), tested.safety_filter), tested)
     return scenarios.values()
 
 
@@ -330,7 +332,7 @@ def _strata(listed: Field, folder: Path, library: Library) -> tuple[Stratum, ...
 
 
 def with_relative_paths(node: Node, folder: Path) -> Node:
-    """Return a copy of ``node`` in which avoiders, controllers and recordings have paths from ``folder``."""
+    """Return a copy of ``node`` in which parts under test and recordings have paths from ``folder``."""
 
     def relative(text: str) -> str:
         file, name = file_and_name(text)
@@ -339,7 +341,7 @@ def with_relative_paths(node: Node, folder: Path) -> Node:
             return text
         return os.path.relpath(resolved(path), resolved(folder)) + f":{name}" * bool(name)
 
-    return rewritten(node, dict.fromkeys(("avoider", "controller", "recording"), relative))
+    return rewritten(node, dict.fromkeys(REFERRING, relative))
 
 
 def _claims(

@@ -284,7 +284,10 @@ class SystemDescription:
         """The distinct pairs of (part, name and hash)."""
         pairs = (pair for system in self.under_test for pair in system.parts.items())
         labels = (
-            (name.capitalize(), f"{part.name}, sha256 {part.sha256}" if part.sha256 else part.name)
+            (
+                name.replace("_", " ").capitalize(),
+                f"{part.name}, sha256 {part.sha256}" if part.sha256 else part.name,
+            )
             for name, part in pairs
         )
         return tuple(dict.fromkeys(labels))

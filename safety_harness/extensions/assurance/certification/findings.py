@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
+from safety_harness.extensions.assurance.campaign.overruled import overruling_in
 from safety_harness.extensions.assurance.campaign.summary import fallback_of
 from safety_harness.extensions.assurance.certification.argument import argument_of
 from safety_harness.extensions.assurance.certification.counterexamples import MOST, Example, Searched
@@ -96,7 +97,7 @@ def of_hazards(hazards: Sequence[HazardEvidence], *, model_only: bool) -> Iterat
 
 
 def of_strata(ledger: Ledger, strata: Sequence[StratumResult]) -> Iterator[OpenFinding]:
-    """Yield a finding for each stratum with unfinished runs in ``ledger``, or with unanswered questions."""
+    """Yield a finding for each stratum with unfinished runs, unanswered questions or a hidden avoider."""
     for place, stratum in enumerate(strata):
         if stratum.failed:
             reasons = ledger.all(
@@ -111,6 +112,10 @@ def of_strata(ledger: Ledger, strata: Sequence[StratumResult]) -> Iterator[OpenF
         if fallback.summary:
             text = f"{stratum.name}: {fallback.summary}; most often: {fallback.reason}"
             yield OpenFinding(text, "strata")
+        overruled = overruling_in(ledger, place)
+        if 2 * overruled.overruled > overruled.proposals:
+            shows = "the runs show more of the gate and its fallback than of the avoider"
+            yield OpenFinding(f"{stratum.name}: {overruled.summary}: {shows}", "strata")
 
 
 def of_searches(searches: Sequence[Searched], planned: int) -> Iterator[OpenFinding]:

@@ -36,7 +36,7 @@ from safety_harness.extensions.assurance.certification.evidence import (
 )
 from safety_harness.extensions.assurance.certification.standards import traced
 from safety_harness.extensions.assurance.certification.stored import Stored, came_nearest
-from safety_harness.extensions.assurance.certification.verdicts import overall, standing_of
+from safety_harness.extensions.assurance.certification.verdicts import doubt_of, overall, standing_of
 from safety_harness.extensions.assurance.statistics.binomial import (
     Sides,
     bounds_of,
@@ -138,7 +138,7 @@ def _outcome(plan: Plan, ledger: Ledger, stored: Sequence[Stored], place: int, c
         world=plan.world,
         dependent=ledger.dependent,
         fallback=fallback.summary,
-        stood_in=bool(fallback.unanswered) and (fallback.unanswered == fallback.decisions or not claimed),
+        doubt=doubt_of(fallback, overruling_in(ledger, place), ledger.times(place), claimed=claimed),
     )
     if standing is ClaimStatus.UNTESTED:
         try:

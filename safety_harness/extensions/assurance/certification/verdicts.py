@@ -2,12 +2,14 @@
 
 In each stratum, a claim is *refuted* if even the lower bound exceeds the target. It is *shown* if the upper
 bound is at most the target. The upper bound counts runs without a verdict and unfinished runs as violations.
-Each of three conditions permits at best *shown with doubt*:
+Each of these conditions permits at best *shown with doubt*:
 
 - Some run has no verdict.
 - The runs are from the kinematic world only.
 - The fallback answered for the avoider throughout. Or it answered at times, and no claim of the plan covers
   that.
+- The gate overruled every proposal, so the avoider never acted.
+- Most answers took longer than the runs allow, so the runs are quicker than the system.
 
 The status of a claim as a whole is the most severe status over its strata.
 """
@@ -18,6 +20,7 @@ from collections.abc import Iterable, Sequence
 from math import floor, log10
 
 from safety_harness.cell.simulation.worlds import WorldEntry
+from safety_harness.extensions.assurance.campaign.summary import FallbackTally
 from safety_harness.extensions.assurance.certification.evidence import (
     SEVERITY,
     Bound,
@@ -26,6 +29,8 @@ from safety_harness.extensions.assurance.certification.evidence import (
     OverrulingResult,
 )
 from safety_harness.extensions.assurance.statistics.rounding import rounded_down, rounded_up
+from safety_harness.trace.answer_times import AnswersTook
+from safety_harness.trace.overruling import Overruling
 
 
 def standing_of(
@@ -41,7 +46,7 @@ def standing_of(
     world: WorldEntry,
     problem: str = "",
     fallback: str = "",
-    stood_in: bool = False,
+    doubt: str = "",
     dependent: str = "",
 ) -> tuple[ClaimStatus, str]:
     """Return the status of a claim in a stratum, with the reason in a sentence.
@@ -58,8 +63,7 @@ def standing_of(
         world: The world of the runs.
         problem: The reason why there is no bound.
         fallback: How often the avoider did not answer; empty if it always answered.
-        stood_in: True if the fallback answered every question. Or: it answered any, and the plan has no claim
-            on the fallback.
+        doubt: Why the runs show little of the avoider, as ``doubt_of`` says; empty if nothing does.
         dependent: The reason why the runs are not independent; empty if they are.
 
     """
@@ -89,9 +93,29 @@ def standing_of(
         return ClaimStatus.DOUBTED, f"{counted}; they count as violations, and the target is still met"
     if world.model_only:
         return ClaimStatus.DOUBTED, f"{counted}: model only, {world}"
-    if stood_in:
-        return ClaimStatus.DOUBTED, f"{counted}: the target is met by the fallback"
+    if doubt:
+        return ClaimStatus.DOUBTED, f"{counted}: {doubt}"
     return ClaimStatus.SHOWN, f"{counted}: at most {most} of them do, and {limit} was the target"
+
+
+def doubt_of(fallback: FallbackTally, overruled: Overruling, times: AnswersTook, *, claimed: bool) -> str:
+    """Return why the runs of a stratum show little of the avoider; empty without a reason.
+
+    Args:
+        fallback: How often the avoider did not answer.
+        overruled: How often the gate overruled its proposals.
+        times: How long its answers took.
+        claimed: Whether the plan has a claim on the fallback.
+
+    """
+    if fallback.unanswered and (fallback.unanswered == fallback.decisions or not claimed):
+        return "the target is met by the fallback"
+    if 0 < overruled.proposals == overruled.overruled:
+        every = f"the gate overruled all {overruled.proposals:,} proposals"
+        return f"the target is met without the avoider: {every}"
+    if 2 * times.slow > times.answers:
+        return f"the target is met with answers in time, but {times.summary}"
+    return ""
 
 
 def worst_status(standings: Iterable[ClaimStatus]) -> ClaimStatus:

@@ -10,7 +10,7 @@ from functools import partial
 from itertools import groupby
 
 from safety_harness.admission.admit import admit
-from safety_harness.admission.avoiders import is_executed
+from safety_harness.admission.avoiders import executes, is_executed
 from safety_harness.admission.trial import run_trial
 from safety_harness.base.exceptions import CampaignError, InputError, SafetyHarnessError, described
 from safety_harness.base.seeds import Branch, generator
@@ -118,7 +118,7 @@ def programs_in(plan: Plan) -> list[str]:
     """Return the Python and ONNX files that a run of the plan may execute, wherever its spaces name them."""
     texts = [plan.avoider or ""]
     for stratum in plan.strata:
-        texts += [stratum.space.simplest.under_test, *references_in(stratum.space.tree)]
+        texts += [*stratum.space.simplest.parts_under_test, *references_in(stratum.space.tree)]
     return sorted({text for text in texts if is_executed(text)})
 
 
@@ -353,7 +353,7 @@ def check_searched(gathered: GatheredEvidence, *, same: bool, programs: bool) ->
         if example.shown.independent:
             continue
         trace, count = example.run.trace, count + 1
-        if is_executed(trace.scenario.under_test) and not programs:
+        if executes(trace.scenario) and not programs:
             unchecked.append(f"{example.shown.trace_file} is from a program, which verify does not execute")
             continue
         try:

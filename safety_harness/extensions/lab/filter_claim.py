@@ -1,0 +1,160 @@
+"""Judge a safety filter: it must not change a command that can harm no hand.
+
+A filter that always stops the arm touches no hand, but it is of no use.  The claim takes the true hands, an
+upper bound of their speeds, and a deceleration with which the arm brakes.  A command is harmless if the arm
+can execute it for one control period and then brake, and no moving part can meet a hand until then.  The rule
+is that of the shield (``cell.controller.shield``) with exact positions: it allows all of the command.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled
+from safety_harness.cell.controller.shield import (
+    ShieldRecords,
+    clearances,
+    fastest_point,
+    guard_of,
+    share_within,
+)
+from safety_harness.cell.robot.description import ChainRecords
+from safety_harness.cell.robot.distance import CapsuleRecords
+from safety_harness.cell.robot.kinematics import forward_kinematics
+from safety_harness.cell.robot.robots import arm_capsules, arm_model
+from safety_harness.cell.simulation.truth import cell_capsules
+from safety_harness.claims.properties.base import Evaluation, Unit, Worded, inconclusive, judged
+from safety_harness.claims.properties.entry import CatalogueEntry
+from safety_harness.claims.properties.measured import reads, unexercised
+from safety_harness.scenario.shield import Shield
+from safety_harness.trace.records import Limit
+from safety_harness.trace.trace import Trace
+
+JOINTS, HANDS, ELBOWS = "joint_position_rad", "hand_position_in_base_m", "elbow_position_in_base_m"
+
+
+@dataclass(frozen=True, kw_only=True)
+class HarmlessUnchanged(Worded):
+    """The least 1 - s over the commands that the filter changed, with the share s that the rule allows.
+
+    A run exercises the claim if the filter got a harmless command that moves the arm while a hand was there.
+    """
+
+    hand_speed_mps: float
+    deceleration_mps2: float
+    unit: Unit = Unit.FRACTION
+    wording: ClassVar[str] = (
+        "the safety filter changes no command that is harmless to hands of {hand_speed_mps:m/s}, "
+        "braking at {deceleration_mps2:m/s2}"
+    )
+
+    @reads(JOINTS, HANDS, ELBOWS, also=["limits"])
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge each command that moves the arm while a hand is there."""
+        if not trace.scenario.safety_filter:
+            return inconclusive(self, "the run has no safety filter")
+        shares = self._shares(trace)
+        near = trace.ticks["hand_present"].any(axis=1) & np.isfinite(shares)
+        harmless = near & (shares >= 1.0)
+        if not harmless.any():
+            return unexercised(self, "every command that moved the arm could have harmed a hand")
+        changed = near & (trace.ticks["limits"] & int(Limit.SAFETY_FILTER) != 0)
+        if not changed.any():
+            reason = f"unchanged: all {int(near.sum())} commands that moved the arm while a hand was there"
+            return judged(self, trace, 1.0, trace.time_s[-1], reason, int(harmless.sum()))
+        tick = int(np.argmax(np.where(changed, shares, -np.inf)))
+        needless = int((changed & harmless).sum())
+        reason = f"changed {needless} of {int(harmless.sum())} harmless commands"
+        return judged(self, trace, 1.0 - shares[tick], trace.time_s[tick], reason, int(harmless.sum()))
+
+    def _shares(self, trace: Trace) -> NDArray[np.float64]:
+        """Return (n,) the allowed share of each wanted command; infinite for a command that moves nothing."""
+        scenario, ticks = trace.scenario, trace.ticks
+        size, hands = scenario.settings.hand, len(scenario.hands)
+        at_m, elbow_m = ticks[HANDS][:, :hands], ticks[ELBOWS][:, :hands]
+        there = ticks["hand_present"][:, :hands]
+        reach_m = np.where(there, np.linalg.norm(elbow_m - at_m, axis=2), 0.0).max(initial=0.0)
+        assumed = Shield(
+            hand_speed_mps=self.hand_speed_mps,
+            body_m=max(size.radius_m, float(reach_m) + size.forearm_radius_m),
+            uncertainty_m=0.0,
+            deceleration_mps2=self.deceleration_mps2,
+        )
+        arm = arm_model(scenario.robot)
+        capsules = cell_capsules(arm_capsules(scenario.robot), scenario.settings)
+        guard = guard_of(assumed, scenario.settings, arm, capsules, 1, scenario.hand_slots)
+        shares = np.full(len(ticks), np.inf)
+        wanted = np.where(trace.filtered["wanted_stop"][:, None], 0.0, trace.filtered["wanted_radps"])
+        _allowed(
+            arm.chain,
+            guard.shield,
+            guard.capsules,
+            np.ascontiguousarray(ticks[JOINTS]),
+            np.ascontiguousarray(wanted),
+            np.ascontiguousarray(at_m),
+            np.ascontiguousarray(there.astype(np.bool_)),
+            scenario.settings.clock.control_period_s,
+            shares,
+        )
+        return shares
+
+
+@compiled
+def _allowed(
+    chains: ChainRecords,
+    shields: ShieldRecords,
+    capsules: CapsuleRecords,
+    joints_rad: NDArray[np.float64],  # (n, joints)
+    wanted_radps: NDArray[np.float64],  # (n, joints)
+    hands_m: NDArray[np.float64],  # (n, hands, 3)
+    there: NDArray[np.bool_],  # (n, hands)
+    period_s: float,
+    shares: NDArray[np.float64],  # (n,) written
+) -> None:
+    """Fill the share of each wanted command that the shield's rule allows, which may exceed 1.
+
+    The share of a command that moves nothing stays as it is.
+    """
+    g, axes, joints = shields[0], chains[0].joint_axes, joints_rad.shape[1]
+    transforms = np.empty((joints + 2, 4, 4))
+    for k in range(joints_rad.shape[0]):
+        bend, rate_sum, count = 0.0, 0.0, 0
+        for j in range(joints):
+            rate = abs(wanted_radps[k, j])
+            bend += rate * g.reach_m[j] * (rate + 2.0 * rate_sum)
+            rate_sum += rate
+        for hand in range(there.shape[1]):
+            if there[k, hand]:
+                for i in range(3):
+                    g.hand_in_base_m[0, count, i] = hands_m[k, hand, i]
+                count += 1
+        g.count[0] = count
+        if rate_sum == 0.0 or count == 0:
+            continue
+        forward_kinematics(chains[0], joints_rad[k], transforms)
+        clearances(transforms, shields, capsules)
+        fastest_mps = fastest_point(axes, transforms, wanted_radps[k], shields, capsules)
+        stop_s = fastest_mps / g.deceleration_mps2
+        way_s = period_s + 0.5 * stop_s
+        robot_m = fastest_mps * way_s + 0.5 * bend * way_s * way_s
+        for i in range(count):
+            free_m = g.clearance_m[i] - g.body_m
+            own = share_within(free_m, robot_m, period_s, stop_s, g.hand_speed_mps, 0.0)
+            if not own >= shares[k]:
+                shares[k] = own
+
+
+HARMLESS_UNCHANGED = CatalogueEntry(
+    prop=HarmlessUnchanged(hand_speed_mps=2.0, deceleration_mps2=1.0),
+    rationale="a filter that stops the arm without need keeps hands safe, but nobody will keep the filter",
+    source="the rule of the shield, by the true hands (explanation/shield)",
+    margin="1 less the share of a changed command that the rule allows, least over the changed commands",
+    parameters="the greatest speed of a hand and the arm's deceleration",
+    exercised="the filter gets a harmless command while a hand is there",
+    inconclusive="the run has no safety filter",
+    broken_by="a filter that stops the arm at every hand",
+)
