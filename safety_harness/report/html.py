@@ -44,7 +44,7 @@ from safety_harness.report.knowledge import measured_rows
 from safety_harness.report.limiting import limit_lines
 from safety_harness.report.machine import refused_data
 from safety_harness.report.page_parts import MOST_OPEN, added_sections, render_page
-from safety_harness.report.path_views import MOST_NUMBERS, path_views, shown_moment
+from safety_harness.report.path_views import MOST_NUMBERS, path_views, shown_moment, widest_view
 from safety_harness.report.replay import Replays
 from safety_harness.report.shielding import shield_lines, slowings
 from safety_harness.report.timeline import thinning, timeline
@@ -173,7 +173,7 @@ def _worst(sections: Sequence[Row]) -> Row | None:
         return None
     _, section, row = min(violated, key=lambda ranked: ranked[0])
     run = section["run"].under(row["claim"].sentence)
-    view = path_views(run, prefix="worst-")[1]
+    view = path_views(run, prefix="worst-")[widest_view(run.trace)]
     return {"section": section, "row": row, "view": view, "nearest": nearest_hand_words(run.trace)}
 
 

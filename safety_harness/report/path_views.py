@@ -80,6 +80,14 @@ def path_views(run: JudgedRun, *, prefix: str) -> tuple[Markup, ...]:
     )
 
 
+def widest_view(trace: Trace) -> int:
+    """Return which of ``path_views`` shows most of the hands' motion: 0 from above, 1 from the side."""
+    there = trace.ticks["hand_present"]
+    hands_m = trace.ticks["hand_position_in_base_m"][there]
+    y_m, z_m = np.ptp(hands_m, axis=0)[1:] if len(hands_m) else (0.0, 0.0)
+    return 0 if y_m > z_m else 1
+
+
 def _view(run: JudgedRun, moment: Moment | None, axis: int, *, close_up: bool, prefix: str) -> str:
     """Return one view in millimetres: base x to the right, base ``axis`` (1: y, 2: z) upwards."""
     trace = run.trace

@@ -23,7 +23,7 @@ from safety_harness.report.axes import Axes, Picture, stairs
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import MOST_OPEN, render_page
-from safety_harness.report.path_views import path_views, shown_moment
+from safety_harness.report.path_views import path_views, shown_moment, widest_view
 from safety_harness.report.replay import Replays
 from safety_harness.report.search_attribution import FaultsOfSearch, draw_attributions
 from safety_harness.report.svg import DASHES, Ink, plain
@@ -189,7 +189,8 @@ def _section(shown: WrittenCounterexample, number: int, replays: Replays) -> dic
         found_margin = with_minus(evaluation.unit.margin_text(example.found_margin))
     run = example.run if isinstance(example.run, Trace) else None
     drawn = run if run is not None and len(example.evaluations) == len(run.scenario.claims) else None
-    name = f"counterexample-{number}"
+    name, widest = f"counterexample-{number}", 0 if drawn is None else widest_view(drawn)
+    on_card = _pictures(drawn, example.evaluations, example.complaint, f"card-{number}-")
     return {
         "id": name,
         "shown": shown,
@@ -200,10 +201,7 @@ def _section(shown: WrittenCounterexample, number: int, replays: Replays) -> dic
         "found_margin": found_margin,
         "parts": [line for each in example.evaluations for line in _part_lines(each, 0)],
         "run": run,
-        "card_view": next(
-            iter(_pictures(drawn, example.evaluations, example.complaint, f"card-{number}-")["views"][1:2]),
-            "",
-        ),
+        "card_view": next(iter(on_card["views"][widest:]), ""),
         **_pictures(drawn, example.evaluations, example.complaint, f"{name}-"),
         "replay": drawn
         and replays.arguments(

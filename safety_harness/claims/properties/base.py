@@ -142,19 +142,20 @@ class Said(Protocol):
 def close_to(prop: Said) -> float | None:
     """Return the margin (SI) below which a run comes near the limit of ``prop``; None without one limit.
 
-    A run comes near an upper limit at half of the limit, and near a lower limit at twice the limit.
+    A run comes near an upper limit at half of the limit, and near a lower limit at ten times the limit.
     """
     if hasattr(prop, "close"):
         return prop.close  # type: ignore[no-any-return]
     most = ("maximum_m", "maximum_mps", "maximum_mps2", "maximum_radps2")
     halves = (0.5 * getattr(prop, name) for name in most if hasattr(prop, name))
-    return next(halves, getattr(prop, "minimum_m", None))
+    minimum = getattr(prop, "minimum_m", None)
+    return next(halves, None if minimum is None else 9.0 * minimum)
 
 
 def far_words(close: float | None, least_margin: float | None) -> str:
-    """Return the remark that no run came within half of its limit; empty if one did, or without a limit."""
+    """Return the remark that no run came near its limit; empty if one did, or without a limit."""
     far = close and least_margin is not None and least_margin > close
-    return "no run came within half of its limit; is it in the unit that is meant?" if far else ""
+    return "no run came near its limit; is it in the unit that is meant?" if far else ""
 
 
 FIELD = re.compile(r"\{(\w+):([^}]*)\}")

@@ -155,6 +155,8 @@ def refuse_lacking(value: object, name: str, methods: Sequence[str], place: Plac
     for method in methods:
         if not callable(getattr(value, method, None)):
             expected, got = f"{name} to have a method {method}", f"no such method in a {type(value).__name__}"
+            if callable(value):
+                hint = f"a class with a name and with {' and '.join(methods)} may call the function; {hint}"
             raise InadmissibleError(place=place, expected=expected, got=got, hint=hint)
     called = getattr(value, "name", None)
     if not isinstance(called, str) or not is_sentence(called):

@@ -379,7 +379,7 @@ def test_what_no_kept_run_tried_is_named_in_the_terminal_and_among_the_findings(
     out = capsys.readouterr().err
     idle = "nothing is known of: move 2 of right hand (reach for tcp); hands[0].moves[1].reach for tcp, which"
     assert f"note: near: untried in 2 kept runs of 'a hand nearby', and {idle} varies" in out
-    assert "note: hand distance never below 1 mm: no run came within half of its limit" in out
+    assert "note: hand distance never below 1 mm: no run came near its limit" in out
     found = [one.text for one in read_evidence(tmp_path / "report" / "evidence.json").findings]
     assert any(idle in text for text in found)
 

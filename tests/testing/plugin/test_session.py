@@ -388,7 +388,7 @@ def test_what_no_run_of_the_session_tried_is_named(run, project: Path) -> None:
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(
         [
-            "note: TCP speed never above 900 mm/s: no run came within half of its limit; *",
+            "note: TCP speed never above 900 mm/s: no run came near its limit; *",
             "untried in 1 run of *, and nothing is known of: move 2 of right hand (withdraw)",
         ]
     )
