@@ -142,15 +142,15 @@ def docs(
     from safety_harness.base.shipped.documents import Section, path_of, section_named, text_of
 
     heading = " ".join(section or [])
-    found = section_named(heading) if heading else Section("index", "the first page")
-    path, anchor = path_of(found)
+    page = section_named(heading) if heading else Section("index", "the first page")
+    path, anchor = path_of(page)
     place = f"#{anchor}" if anchor else ""
     document(file=path, section=anchor or None)
     result(f"{path}{place}")
     if where or not sys.stdout.isatty():
         return AS_EXPECTED
     if path.suffix == ".md":
-        _show(text_of(found))
+        _show(text_of(page))
     else:
         _open(path.as_uri() + place)
     return AS_EXPECTED

@@ -63,9 +63,10 @@ def limit_lines(traces: Iterable[Trace]) -> list[str]:
     limited: dict[str, Counter[str]] = {}
     changed: dict[str, tuple[int, int]] = {}
     for trace in traces:
-        if (by := trace.system.safety_filter) is not None and not trace.known.missing(["limits"]):
-            before, of_all = changed.get(by.name, (0, 0))
-            changed[by.name] = before + _changed(trace), of_all + len(trace.ticks)
+        part = trace.system.safety_filter
+        if part is not None and not trace.known.missing(["limits"]):
+            count, of_all = changed.get(part.name, (0, 0))
+            changed[part.name] = count + _changed(trace), of_all + len(trace.ticks)
         counts = limited_commands(trace) if trace.scenario.driven else None
         if counts is not None:
             name = trace.system.controller.name

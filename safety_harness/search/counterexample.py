@@ -308,9 +308,9 @@ def counterexample_of(
     last = in_one_world(world, admit(shrunk.scenario), first if shrunk.scenario == scenario else None)
     claim = None if complaint.kind or shrunk.interrupted else complaint.claim
     affordable = allowance.has() or not allowance.explained
-    # A shrunk run may end before a change fails, so it would count changes that only gain time.
-    as_found = replace(scenario, name=shrunk.scenario.name)
-    explanation = Explanation() if claim is None or not affordable else explain(as_found, claim)
+    explanation = Explanation()
+    if claim is not None and affordable:
+        explanation = _explained(scenario, shrunk.scenario, claim, explain)
     allowance.spent_s += explanation.cost_s
     allowance.explained |= bool(explanation.lines)
     draws = not (shrunk.interrupted or shrunk.scenario.driven)
@@ -326,16 +326,31 @@ def counterexample_of(
         tuple(filter(None, (complaint.reference_words(last.run), *circumstances(last.run))))
         if isinstance(last.run, Trace)
         else (),
-        _of_run_as_found(explanation.lines, same=shrunk.scenario == scenario),
+        explanation.lines,
         confirm.share_of_draws(shrunk.scenario, DRAWS) if drawn else None,
         explanation.causes or (complaint.kind,) * bool(complaint.kind),
         is_cut and not shrunk.interrupted,
     )
 
 
-def _of_run_as_found(lines: tuple[str, ...], *, same: bool) -> tuple[str, ...]:
-    """Return the lines of an explanation; they name the run as found unless it is the ``same`` run."""
-    return lines if same or not lines else (f"{lines[0]} (of the run as found)", *lines[1:])
+def _explained(as_found: Scenario, shrunk: Scenario, claim: Claim, explain: Explain) -> Explanation:
+    """Return the explanation of the run as found, and if it has no cause, that of the shrunk run too.
+
+    A shrunk run may end before a change fails, so a change that only gains time would count as its cause.
+    """
+    if shrunk == as_found:
+        return explain(shrunk, claim)
+    first = explain(replace(as_found, name=shrunk.name), claim)
+    if first.causes or not first.lines:
+        return replace(first, lines=_naming("run as found", first.lines))
+    second = explain(shrunk, claim)
+    lines = (*_naming("run as found", first.lines), *_naming("shrunk run", second.lines))
+    return Explanation(lines, second.causes, first.cost_s + second.cost_s)
+
+
+def _naming(run: str, lines: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the lines of an explanation, of which the first one names its run."""
+    return (f"{lines[0]} (of the {run})", *lines[1:]) if lines else ()
 
 
 def text_of(case: Counterexample, origin: Sequence[str], trace_file: Path | None) -> str:

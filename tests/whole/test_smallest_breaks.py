@@ -16,6 +16,7 @@ from breaks_of_claims import breaks
 from smallest_breaks import RESULTS, caught, measured, rounded_up, smallest, violated
 
 from safety_harness.claims.properties.catalogue import CATALOGUE
+from safety_harness.extensions.lab.filter_claim import HARMLESS_UNCHANGED
 
 EVERY = {(one.sentence, one.what): one for one in breaks()}
 STATED: list[dict[str, Any]] = json.loads(RESULTS.read_text("utf-8"))
@@ -25,7 +26,9 @@ NEAR_SPEED = next(one for one in EVERY.values() if one.sentence == "TCP speed ne
 
 
 def test_every_claim_of_the_catalogue_has_a_break_that_it_catches() -> None:
-    assert list(dict.fromkeys(row["claim"] for row in STATED)) == [entry.example for entry in CATALOGUE]
+    # Any change of a harmless command breaks the claim about filters, so its break has no magnitude.
+    entries = [entry.example for entry in CATALOGUE if entry is not HARMLESS_UNCHANGED]
+    assert list(dict.fromkeys(row["claim"] for row in STATED)) == entries
     assert [(row["claim"], row["what"]) for row in STATED] == list(EVERY)
 
 

@@ -58,13 +58,15 @@ class HarmlessUnchanged(Worded):
         if not trace.scenario.safety_filter:
             return inconclusive(self, "the run has no safety filter")
         shares = self._shares(trace)
-        near = trace.ticks["hand_present"].any(axis=1) & np.isfinite(shares)
-        harmless = near & (shares >= 1.0)
+        beside_hand = trace.ticks["hand_present"].any(axis=1) & np.isfinite(shares)
+        harmless = beside_hand & (shares >= 1.0)
         if not harmless.any():
             return unexercised(self, "every command that moved the arm could have harmed a hand")
-        changed = near & (trace.ticks["limits"] & int(Limit.SAFETY_FILTER) != 0)
+        changed = beside_hand & (trace.ticks["limits"] & int(Limit.SAFETY_FILTER) != 0)
         if not changed.any():
-            reason = f"unchanged: all {int(near.sum())} commands that moved the arm while a hand was there"
+            reason = (
+                f"unchanged: all {int(beside_hand.sum())} commands that moved the arm while a hand was there"
+            )
             return judged(self, trace, 1.0, trace.time_s[-1], reason, int(harmless.sum()))
         tick = int(np.argmax(np.where(changed, shares, -np.inf)))
         needless = int((changed & harmless).sum())
@@ -150,7 +152,7 @@ def _allowed(
 
 HARMLESS_UNCHANGED = CatalogueEntry(
     prop=HarmlessUnchanged(hand_speed_mps=2.0, deceleration_mps2=1.0),
-    rationale="a filter that stops the arm without need keeps hands safe, but nobody will keep the filter",
+    rationale="a filter that stops the arm without need prevents contact, but nobody will keep the filter",
     source="the rule of the shield, by the true hands (explanation/shield)",
     margin="1 less the share of a changed command that the rule allows, least over the changed commands",
     parameters="the greatest speed of a hand and the arm's deceleration",
