@@ -29,6 +29,12 @@ class InputErrors(InputError):
         hint = "; ".join(filter(None, [first.hint, *(f"and {error}" for error in rest)]))
         super().__init__(place=first.place, expected=first.expected, got=first.got, hint=hint)
 
+    @property
+    def inputs(self) -> int:
+        """The number of files with an error; an error without a file counts as one more."""
+        files = [error.place.file for error in self.errors]
+        return len({file for file in files if file is not None}) + files.count(None)
+
     def __reduce__(self) -> tuple[partial[InputError], tuple[()]]:
         return partial(InputErrors, self.errors, self.left), ()  # type: ignore[return-value]
 

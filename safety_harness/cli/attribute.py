@@ -36,7 +36,7 @@ def attribute_runs(
             paths, avoider=avoider, safety_filter=safety_filter, confirm=confirm, output=TERMINAL
         )
     except InputErrors as error:
-        say(f"{len(error.errors)} of the inputs cannot be used; nothing was run.")
+        say(f"{error.inputs} of the inputs cannot be used; nothing was run.")
         return BAD_INPUT
     code = conclude(made, out)
     first = min(paths[0].rglob(f"*{TRACE}"), default=paths[0])

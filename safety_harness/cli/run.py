@@ -62,7 +62,7 @@ def run(
         finished = run_scenarios(paths, avoider=avoider, against=against, out=out, output=output, **options)
     except InputErrors as error:
         go_on = "; --keep-going runs the others" if error.left else ""
-        say(f"{len(error.errors)} of the inputs cannot be used; nothing was run{go_on}.")
+        say(f"{error.inputs} of the inputs cannot be used; nothing was run{go_on}.")
         return BAD_INPUT
     except KeyboardInterrupt:
         say("interrupted: nothing was run")

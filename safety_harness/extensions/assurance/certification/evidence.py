@@ -266,8 +266,13 @@ class SystemDescription:
 
     @property
     def tested(self) -> str:
-        """The names of all avoiders and controllers."""
-        return " and ".join(dict.fromkeys(system.tested.name for system in self.under_test))
+        """The names of all avoiders and controllers, each with its safety filter."""
+        names = (
+            system.tested.name
+            + (f" with safety filter {part.name}" if (part := system.safety_filter) else "")
+            for system in self.under_test
+        )
+        return " and ".join(dict.fromkeys(names))
 
     @property
     def robot(self) -> str:

@@ -20,6 +20,7 @@ from safety_harness.extensions.assurance.certification.evidence import (
 from safety_harness.extensions.assurance.certification.tools import Credibility, SelfTest
 from safety_harness.trace.system import SystemUnderTest
 
+SHOWS_GATE = "the runs show more of the gate and its fallback than of the avoider"
 _PLAIN = {
     ClaimStatus.REFUTED: "is refuted",
     ClaimStatus.UNTESTED: "was never put to the test",
@@ -114,8 +115,7 @@ def of_strata(ledger: Ledger, strata: Sequence[StratumResult]) -> Iterator[OpenF
             yield OpenFinding(text, "strata")
         overruled = overruling_in(ledger, place)
         if 2 * overruled.overruled > overruled.proposals:
-            shows = "the runs show more of the gate and its fallback than of the avoider"
-            yield OpenFinding(f"{stratum.name}: {overruled.summary}: {shows}", "strata")
+            yield OpenFinding(f"{stratum.name}: {overruled.summary}: {SHOWS_GATE}", "strata")
 
 
 def of_searches(searches: Sequence[Searched], planned: int) -> Iterator[OpenFinding]:

@@ -118,6 +118,7 @@ def certify(
     from safety_harness.cli.progress import TERMINAL
     from safety_harness.extensions.assurance.campaign.session import LEDGER
     from safety_harness.extensions.assurance.certification.argument import STATE
+    from safety_harness.extensions.assurance.certification.findings import SHOWS_GATE
     from safety_harness.extensions.assurance.certification.verdicts import overruling_line, percent
     from safety_harness.extensions.assurance.certification.verify_runs import programs_in
     from safety_harness.extensions.assurance.certify_job import certify as certify_plan
@@ -162,7 +163,10 @@ def certify(
         *(
             f"note: {item.text}"
             for item in evidence.findings
-            if f": {UNTRIED} " in item.text or UNHEEDED in item.text or item.place == "recorded-cells"
+            if f": {UNTRIED} " in item.text
+            or UNHEEDED in item.text
+            or SHOWS_GATE in item.text
+            or item.place == "recorded-cells"
         )
     )
     result(evidence.basis, f"{made.page}: {evidence.standing.value}")
