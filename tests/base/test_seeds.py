@@ -65,4 +65,5 @@ def test_branches_keep_their_numbers() -> None:
         "CONTROLLER": 11,
         "ENVIRONMENT": 12,
         "PROOF": 13,
+        "SAFETY_FILTER": 14,
     }
