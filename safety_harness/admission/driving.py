@@ -14,7 +14,6 @@ from safety_harness.base.exceptions import AvoiderError, ControllerError, Inadmi
 from safety_harness.base.settings import ImageSource
 from safety_harness.cell.avoidance.avoider import Avoider, Proposal, Vector
 from safety_harness.cell.controller.named import (
-    NAMES,
     controller_of,
     controller_sha256,
     refuse_unusable_controller,
@@ -23,7 +22,7 @@ from safety_harness.cell.controller.python_file import checked_controller
 from safety_harness.cell.robot.robots import urdf_sha256_of
 from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN, AvoiderSilent
 from safety_harness.scenario.model import NO_AVOIDER, Scenario
-from safety_harness.scenario.references import file_and_name, names_onnx
+from safety_harness.scenario.references import file_and_name, names_a_program, names_onnx
 from safety_harness.seams.contract import (
     DECISIONS,
     IMAGE,
@@ -154,9 +153,10 @@ def refuse_unusable_filter(scenario: Scenario) -> None:
     if scenario.shield is not None:
         expected = "a shield or a safety filter, because each must be the last before the drives"
         raise InadmissibleError(place=place, expected=expected, got="both")
-    if names_onnx(reference) or reference in NAMES:
+    if not (names_a_program(reference) or file_and_name(reference)[0].endswith(".py")):
         expected = "a safety filter: FILE.py:NAME, exec:COMMAND, tcp:HOST:PORT or unix:PATH"
-        raise InadmissibleError(place=place, expected=expected, got=repr(reference))
+        hint = f"name the class in it as well: {reference}:NAME" if reference.endswith(".py") else ""
+        raise InadmissibleError(place=place, expected=expected, got=repr(reference), hint=hint)
     refuse_unusable_controller(reference, folder_of(scenario), place)
 
 

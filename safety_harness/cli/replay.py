@@ -105,11 +105,19 @@ def _refuse_other(stored: Trace, admitted: Admitted, path: Path) -> None:
 
 
 def _refuse_other_filter(stored: Trace, admitted: Admitted, path: Path) -> None:
-    """Raise TraceError if the hash of the safety filter differs from the trace's."""
+    """Raise TraceError if the safety filter differs from the trace's, by its name or by its file's hash."""
     then, now = stored.system.safety_filter, admitted.safety_filter
-    if then is not None and now is not None and then.sha256 not in ("", now.sha256):
+    if then is None or now is None:
+        return
+    differs = then.name != now.component.name or then.sha256 not in ("", now.sha256)
+    names = (file_and_name(case.scenario.safety_filter)[1] for case in (stored, admitted))
+    if differs or len({*names}) > 1:
         place = Place(file=path, field="safety filter")
-        raise TraceError(place=place, expected=f"{then}, which filtered then", got=str(now.component))
+        raise TraceError(
+            place=place,
+            expected=f"{then}, which filtered then",
+            got=f"{now.component}, {admitted.scenario.safety_filter}",
+        )
 
 
 def _named(now: Component, admitted: Admitted) -> str:

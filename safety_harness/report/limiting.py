@@ -61,12 +61,12 @@ def limit_lines(traces: Iterable[Trace]) -> list[str]:
     """
     commands: Counter[str] = Counter()
     limited: dict[str, Counter[str]] = {}
-    changed: dict[str, tuple[int, int]] = {}
+    changed: dict[str, NDArray[np.int64]] = {}
     for trace in traces:
         part = trace.system.safety_filter
         if part is not None and not trace.known.missing(["limits"]):
-            count, of_all = changed.get(part.name, (0, 0))
-            changed[part.name] = count + _changed(trace), of_all + len(trace.ticks)
+            own = np.array([_changed(trace), len(trace.ticks), overridden_stops(trace)])
+            changed[part.name] = changed.get(part.name, np.zeros(3, np.int64)) + own
         counts = limited_commands(trace) if trace.scenario.driven else None
         if counts is not None:
             name = trace.system.controller.name
@@ -75,8 +75,15 @@ def limit_lines(traces: Iterable[Trace]) -> list[str]:
     lines = [_line(name, counts, commands[name]) for name, counts in limited.items() if counts[""]]
     return lines + [
         f"{BY_FILTER} {name}: changed {count:,} of {of_all:,} commands ({share_words(count, of_all)})"
-        for name, (count, of_all) in changed.items()
+        + (f", and overrode {stops:,} protective stops of the controller" if stops else "")
+        for name, (count, of_all, stops) in ((name, row.tolist()) for name, row in changed.items())
     ]
+
+
+def overridden_stops(trace: Trace) -> int:
+    """Return at how many ticks the safety filter overrode a protective stop of the controller."""
+    changed = trace.ticks["limits"] & int(Limit.SAFETY_FILTER) != 0
+    return int(np.count_nonzero(changed & trace.filtered["wanted_stop"]))
 
 
 def _changed(trace: Trace) -> int:

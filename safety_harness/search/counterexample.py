@@ -310,7 +310,7 @@ def counterexample_of(
     affordable = allowance.has() or not allowance.explained
     explanation = Explanation()
     if claim is not None and affordable:
-        explanation = _explained(scenario, shrunk.scenario, claim, explain)
+        explanation = _explained(scenario, shrunk.scenario, claim, explain, allowance)
     allowance.spent_s += explanation.cost_s
     allowance.explained |= bool(explanation.lines)
     draws = not (shrunk.interrupted or shrunk.scenario.driven)
@@ -333,15 +333,18 @@ def counterexample_of(
     )
 
 
-def _explained(as_found: Scenario, shrunk: Scenario, claim: Claim, explain: Explain) -> Explanation:
+def _explained(
+    as_found: Scenario, shrunk: Scenario, claim: Claim, explain: Explain, allowance: Allowance
+) -> Explanation:
     """Return the explanation of the run as found, and if it has no cause, that of the shrunk run too.
 
-    A shrunk run may end before a change fails, so a change that only gains time would count as its cause.
+    A shrunk run may end before a change fails, so a change that only gains time would count as its cause. The
+    second explanation must be within the ``allowance``.
     """
     if shrunk == as_found:
         return explain(shrunk, claim)
     first = explain(replace(as_found, name=shrunk.name), claim)
-    if first.causes or not first.lines:
+    if first.causes or not first.lines or not allowance.has(2.0 * first.cost_s):
         return replace(first, lines=_naming("run as found", first.lines))
     second = explain(shrunk, claim)
     lines = (*_naming("run as found", first.lines), *_naming("shrunk run", second.lines))

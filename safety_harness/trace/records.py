@@ -193,8 +193,12 @@ DECISION = decision_dtype()
 
 @lru_cache
 def filtered_dtype(joints: int = JOINTS) -> np.dtype[Any]:
-    """Return FILTERED: the command that the controller wanted, which a safety filter may have changed."""
-    return np.dtype([("wanted_radps", np.float64, (joints,)), ("wanted_stop", np.bool_)], align=True)
+    """Return FILTERED: the command that the controller wanted, which a safety filter may have changed.
+
+    ``held`` is true if the filter let the command pass, but an earlier stop of the filter still lasted.
+    """
+    fields = [("wanted_radps", np.float64, (joints,)), ("wanted_stop", np.bool_), ("held", np.bool_)]
+    return np.dtype(fields, align=True)
 
 
 # What a scenario's shield did in a tick: the share of the wanted speed that it allowed, and the capsule

@@ -22,7 +22,12 @@ from safety_harness.trace.records import Limit, Mode, filtered_dtype
 
 
 class FilterCalls(DrivenController):
-    """The calls of a safety filter in an episode, with a view of its own."""
+    """The calls of a safety filter in an episode, with a view of its own.
+
+    ``holds`` is true at a tick at which the filter lets the command pass, but its earlier stop still lasts.
+    """
+
+    holds: bool = False
 
     def failed(self, why: str) -> ControllerError:
         """Return the error with the reason ``why``, which ends the run at this tick."""
@@ -40,6 +45,7 @@ class FilterCalls(DrivenController):
         answers, stopped = self.answers, state[0]["mode"] == int(Mode.PROTECTIVE_STOP)
         by_joints, stops = bool(answers.by_joints[0]), bool(answers.stop[0])
         same = stops if stop else by_joints and np.array_equal(answers.joints[0], rates_radps)
+        self.holds = same and not stop and stopped
         if same and (stop or not stopped):
             state["limits"] = 0
             self.question["tick"] += 1
@@ -74,22 +80,26 @@ class FilteredController:
         record["wanted_radps"] = wanted["joint_velocity_radps"][0]
         record["wanted_stop"] = wanted["protective_stop"][0]
         command = self.calls.filter(wanted, observation)
-        self._changed = command.tobytes() != wanted.tobytes()
+        record["held"] = self.calls.holds
+        names = command.dtype.names or ()  # the bytes between the fields are arbitrary
+        self._changed = any(not np.array_equal(command[name], wanted[name]) for name in names)
         self._tick += 1
         if self._changed:
             self._records.command[:] = command
-        self._continue_from(command)
+        self._continue_from(command, observation)
         return command
 
-    def _continue_from(self, command: NDArray[np.void]) -> None:
-        """Let controller and filter bound the next acceleration from the motion that ``command`` causes."""
+    def _continue_from(self, command: NDArray[np.void], observation: NDArray[np.void]) -> None:
+        """Let controller and filter bound the next acceleration from the arm's motion by ``command`` (1,).
+
+        During a stop the brakes decide, so the motion is the measured one; ``observation`` (1,) OBSERVATION.
+        """
         pilot, own = self._records.state, self.calls.records.state
-        stop = bool(command["protective_stop"][0])
-        for state in (pilot, own) if self._changed and not stop else ():
-            twist = product(pilot[0]["jacobian"], command["joint_velocity_radps"][0])
-            state["previous_twist_in_base"] = twist
-        if not self._changed:
-            own["previous_twist_in_base"] = pilot["previous_twist_in_base"]
+        if self._changed:
+            stop = bool(command["protective_stop"][0])
+            rates = (observation["joint_velocity_radps"] if stop else command["joint_velocity_radps"])[0]
+            pilot["previous_twist_in_base"] = product(pilot[0]["jacobian"], rates)
+        own["previous_twist_in_base"] = pilot["previous_twist_in_base"]
 
     def report(self, tick: NDArray[np.void]) -> None:
         """Let the controller write into ``tick`` (1,) TICK, then add the limits that changed the command."""
@@ -97,6 +107,8 @@ class FilteredController:
         tick["limits"] |= self.calls.records.state["limits"]
         if self._changed:
             tick["limits"] |= int(Limit.SAFETY_FILTER)
+            if bool(self._records.command["protective_stop"][0]):
+                tick["mode"] = int(Mode.PROTECTIVE_STOP)
 
     def sees_images_of(self, image: Callable[[], Any]) -> None:
         """Show the present ``image()`` to the controller and the filter, if they see images."""

@@ -30,6 +30,7 @@ from safety_harness.cell.simulation.truth import cell_capsules
 from safety_harness.claims.properties.base import Evaluation, Unit, Worded, inconclusive, judged
 from safety_harness.claims.properties.entry import CatalogueEntry
 from safety_harness.claims.properties.measured import reads, unexercised
+from safety_harness.report.limiting import overridden_stops
 from safety_harness.scenario.shield import Shield
 from safety_harness.trace.records import Limit
 from safety_harness.trace.trace import Trace
@@ -40,6 +41,8 @@ JOINTS, HANDS, ELBOWS = "joint_position_rad", "hand_position_in_base_m", "elbow_
 @dataclass(frozen=True, kw_only=True)
 class HarmlessUnchanged(Worded):
     """The least 1 - s over the commands that the filter changed, with the share s that the rule allows.
+
+    A protective stop of the controller is always harmless, so to override one violates the claim.
 
     A run exercises the claim if the filter got a harmless command that moves the arm while a hand was there.
     """
@@ -57,12 +60,17 @@ class HarmlessUnchanged(Worded):
         """Judge each command that moves the arm while a hand is there."""
         if not trace.scenario.safety_filter:
             return inconclusive(self, "the run has no safety filter")
+        if overridden := overridden_stops(trace):
+            reason = f"the filter moved the arm in spite of {overridden} protective stops of the controller"
+            return judged(self, trace, -1.0, trace.time_s[-1], reason, overridden)
+        if not trace.ticks["hand_present"].any():
+            return unexercised(self, "no hand was there")
         shares = self._shares(trace)
         beside_hand = trace.ticks["hand_present"].any(axis=1) & np.isfinite(shares)
         harmless = beside_hand & (shares >= 1.0)
         if not harmless.any():
             return unexercised(self, "every command that moved the arm could have harmed a hand")
-        changed = beside_hand & (trace.ticks["limits"] & int(Limit.SAFETY_FILTER) != 0)
+        changed = beside_hand & _changed(trace) & ~trace.filtered["held"]
         if not changed.any():
             reason = (
                 f"unchanged: all {int(beside_hand.sum())} commands that moved the arm while a hand was there"
@@ -150,12 +158,19 @@ def _allowed(
                 shares[k] = own
 
 
+def _changed(trace: Trace) -> NDArray[np.bool_]:
+    """Return (n,) true at each tick at which the filter changed the command."""
+    return np.asarray(trace.ticks["limits"] & int(Limit.SAFETY_FILTER) != 0)
+
+
 HARMLESS_UNCHANGED = CatalogueEntry(
     prop=HarmlessUnchanged(hand_speed_mps=2.0, deceleration_mps2=1.0),
     rationale="a filter that stops the arm without need prevents contact, but nobody will keep the filter",
     source="the rule of the shield, by the true hands (explanation/shield)",
-    margin="1 less the share of a changed command that the rule allows, least over the changed commands",
-    parameters="the greatest speed of a hand and the arm's deceleration",
+    margin="1 less the share of a changed command that the rule allows, least over the changed commands; "
+    "-100 % if the filter overrode a protective stop of the controller",
+    parameters="the greatest speed of a hand and the arm's deceleration; a hand and its forearm count as a "
+    "ball around the hand's centre that contains the elbow",
     exercised="the filter gets a harmless command while a hand is there",
     inconclusive="the run has no safety filter",
     broken_by="a filter that stops the arm at every hand",

@@ -86,6 +86,19 @@ class Remembers(Passes):
         return wanted.action if wanted.stop else Move(joint_velocity_radps=rates)
 
 
+class OverridesStops(Passes):
+    def changed(self, wanted, seen):
+        return Move(joint_velocity_radps=np.full(6, 0.01)) if wanted.stop else wanted.action
+
+
+class StopsBeforeAStop(Passes):
+    sees = ("joints", "hands", "wanted command")
+
+    def changed(self, wanted, seen):
+        near = min(np.linalg.norm(h.position_in_base_m - seen.tcp_position_in_base_m) for h in seen.hands)
+        return Stop() if 0.45 < near < 0.5 and not wanted.stop else wanted.action
+
+
 class Blind(Passes):
     sees = ("joints",)
 
@@ -202,6 +215,42 @@ def test_after_a_stop_of_the_filter_the_arm_stands_until_the_restart_delay_is_ov
     again = trace.time_s > begun_s + max(delay_s, 0.5) + 0.1
     assert (~stands[again]).any() or not again.any()
     assert (trace.ticks["limits"][19:] & FLAG != 0).any()
+
+
+def driven_by_stop_when_near(reference: str) -> Trace:
+    text = SCENARIO.replace("avoider: opposite pose", "controller: stop when near")
+    return run_with("", text.replace("tcp start:", f"safety filter: {reference}\ntcp start:"))
+
+
+def test_a_filter_that_overrides_a_protective_stop_violates_the_claim() -> None:
+    trace = driven_by_stop_when_near("filters.py:OverridesStops")
+    evaluation = needless(trace)
+    assert trace.filtered["wanted_stop"].any()
+    assert evaluation.verdict is Verdict.VIOLATED
+    assert "in spite of" in evaluation.reason
+
+
+def test_commands_are_compared_by_their_fields_and_a_stop_that_lasts_is_not_needless() -> None:
+    trace = driven_by_stop_when_near("filters.py:StopsBeforeAStop")
+    wanted, sent = trace.filtered["wanted_radps"], trace.ticks["demanded_joint_velocity_radps"]
+    flagged = trace.ticks["limits"] & FLAG != 0
+    assert flagged.any()
+    stops = trace.filtered["wanted_stop"]
+    assert not flagged[stops].any()  # the filter let each stop of the controller pass
+    assert np.array_equal(wanted[~flagged], sent[~flagged])
+    held = trace.filtered["held"]
+    assert not held[stops].any()
+
+
+def test_after_a_stop_of_the_filter_the_acceleration_is_bounded() -> None:
+    quiet = SCENARIO.replace("wait: 300 ms", "wait: 1.5 s").replace("duration: 1.6 s", "duration: 3 s")
+    trace = run_with("filters.py:StopsOnce", quiet)
+    pose = trace.ticks["transform_tcp_to_base"][:, :3, 3]
+    speed_mps = np.linalg.norm(np.diff(pose, axis=0), axis=1) / 0.008
+    begins = np.flatnonzero((speed_mps[1:] > 1e-3) & (speed_mps[:-1] < 1e-4) & (trace.time_s[1:-1] > 0.3))
+    assert len(begins)
+    most = trace.scenario.settings.motion.max_tcp_acceleration_mps2
+    assert (np.diff(speed_mps)[begins[0] - 1 : begins[0] + 20] / 0.008).max() <= 1.05 * most
 
 
 def test_a_filter_may_command_the_tcp() -> None:
@@ -329,7 +378,7 @@ def test_run_replay_and_attribute_name_the_filter() -> None:
     trace = "out/traces/visit.trace"
     assert "expected the program named with --safety-filter" in command("replay", trace).output
     assert command("replay", trace, "--safety-filter", "filters.py:Halves").exit_code == 0
-    assert command("replay", trace, "--safety-filter", "filters.py:Passes").exit_code == 1
+    assert command("replay", trace, "--safety-filter", "filters.py:Passes").exit_code == 2
     Path("filters.py").write_text(FILTERS + "\n# edited\n")
     edited = command("replay", trace, "--safety-filter", "filters.py:Halves")
     assert edited.exit_code == 2
