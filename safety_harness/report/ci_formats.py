@@ -14,13 +14,14 @@ from safety_harness.base.whole_file import write_whole
 from safety_harness.claims.properties.base import Evaluation
 from safety_harness.report.evidence import JudgedRun, answer, basis_of
 from safety_harness.report.limiting import limit_lines
-from safety_harness.report.words import margin_words
+from safety_harness.report.words import margin_words, tested_words
 from safety_harness.scenario.files import display_path
 from safety_harness.scenario.model import Claim, Verdict
 
 SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 SUMMARY, SARIF = "summary.md", "report.sarif"
 MOST_LINES = 50  # in a summary, because the summary of a CI job is limited
+MOST_TESTED = 3  # systems under test that a summary names
 
 
 def write_for_ci(folder: Path, runs: Sequence[JudgedRun]) -> None:
@@ -63,6 +64,11 @@ def markdown(runs: Sequence[JudgedRun]) -> str:
         lines += ["", f"{len(rows) - MOST_LINES} more are in report.html."]
     for line in limit_lines(run.trace for run in runs):
         lines += ["", f"limits: {_cell(line)}"]
+    tested = list(dict.fromkeys(tested_words(run.trace.scenario, run.trace.system) for run in runs))
+    for part in tested[:MOST_TESTED]:
+        lines += ["", f"tested: {_cell(part)}"]
+    if len(tested) > MOST_TESTED:
+        lines += ["", f"tested: {len(tested) - MOST_TESTED} more systems"]
     lines += ["", basis_of(runs)]
     return "\n".join(lines) + "\n"
 

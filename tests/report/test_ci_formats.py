@@ -17,6 +17,7 @@ from safety_harness.base.exceptions import Place
 from safety_harness.report.ci_formats import MOST_LINES, markdown, sarif
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.scenario.model import Claim
+from safety_harness.trace.system import Component
 
 ROOT = Path(__file__).parents[2]
 STILL = """\
@@ -126,3 +127,16 @@ def test_the_hooks_name_commands_that_are_there(tmp_path: Path) -> None:
         words = [sys.executable, "-m", *hook["entry"].replace("safety-harness", "safety_harness").split()]
         done = subprocess.run([*words, str(good)], capture_output=True, text=True)
         assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_summary_names_what_was_tested_and_counts_the_rest() -> None:
+    run = factory.holds_run()
+    systems = [
+        replace(run.trace.system, controller=Component(name=f"mine {number}"), avoider=None)
+        for number in range(5)
+    ]
+    runs = [replace(run, trace=replace(run.trace, system=system)) for system in systems]
+    lines = [line for line in markdown(runs).splitlines() if line.startswith("tested: ")]
+    assert "controller mine 0" in lines[0]
+    assert lines[3:] == ["tested: 2 more systems"]
+    assert markdown([run, run]).count("tested: ") == 1
