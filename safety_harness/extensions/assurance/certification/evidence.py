@@ -603,7 +603,7 @@ def read_evidence(path: Path) -> Evidence:
 def _as_now(document: dict[str, Any]) -> dict[str, Any]:
     """Return the JSON of an earlier version, converted to the fields of this version.
 
-    An earlier version recorded only the avoider and the robot of the system.
+    An earlier version recorded only the avoider and the robot of the system, or no safety filter.
     """
     whole = {name: getattr(Evidence, name) for name in LATER} | document
     known, system = whole.get("credibility"), whole.get("system")
@@ -615,6 +615,12 @@ def _as_now(document: dict[str, Any]) -> dict[str, Any]:
         }
         rest = {name: value for name, value in system.items() if name not in _NOTED_THEN}
         whole["system"] = rest | {"under_test": [plain(NOT_NOTED) | parts]}
+    elif isinstance(system, dict) and isinstance(system.get("under_test"), list):
+        known_then = [
+            {"safety_filter": None} | part for part in system["under_test"] if isinstance(part, dict)
+        ]
+        if len(known_then) == len(system["under_test"]):
+            whole["system"] = system | {"under_test": known_then}
     return whole
 
 
