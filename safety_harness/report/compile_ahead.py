@@ -69,7 +69,8 @@ def _needed_by(process: subprocess.Popen[str]) -> list[Path] | None:
     assert process.stdout is not None
     ready, _, _ = select([process.stdout], [], [], 0.0)
     line = process.stdout.readline() if ready else ""
-    return [Path(file) for file in json.loads(line)] if line else None
+    whole = line.endswith("\n")  # the process may have ended within the line
+    return [Path(file) for file in json.loads(line)] if whole else None
 
 
 def _is_cold() -> bool:
