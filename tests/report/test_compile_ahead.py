@@ -57,13 +57,12 @@ def test_what_a_run_needs_is_known_before_it_is_compiled(
 
 
 def test_a_second_process_that_ends_early_leaves_the_part_unknown() -> None:
-    ended = subprocess.Popen(
-        [sys.executable, "-c", "import sys; sys.stdout.write('[')"], stdout=subprocess.PIPE, text=True
-    )
-    ended.wait(60.0)
-    second = SecondProcess(_checked=True, _process=ended)
-    assert second.finished_part() is None
-    assert second.finished_part() is None
+    program = [sys.executable, "-c", "import sys; sys.stdout.write('[')"]
+    with subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as ended:
+        ended.wait(60.0)
+        second = SecondProcess(_checked=True, _process=ended)
+        assert second.finished_part() is None
+        assert second.finished_part() is None
 
 
 def test_it_starts_once(starts: list[int]) -> None:
