@@ -44,9 +44,7 @@ class SecondProcess:
 
     _checked: bool = False
     _process: subprocess.Popen[str] | None = None
-    _needed: list[Path] | None = (
-        None  # the cache files that a brief run needs, once the process has told them
-    )
+    _needed: list[Path] | None = None  # the cache files that a brief run needs; None until they are known
 
     def __call__(self, now: Compilation) -> None:
         """Start the process at the first call, if it can help; this method is one of the ``watchers``."""

@@ -49,7 +49,7 @@ def limited_data(trace: Trace) -> dict[str, Any] | None:
         return None
     by_limit = {name: counts[name] for name in LIMIT_NAMES.values() if counts[name]}
     if trace.scenario.safety_filter:
-        by_limit[BY_FILTER] = _changed(trace)
+        by_limit[BY_FILTER] = int(changed_by_filter(trace).sum())
     return {"commands": int(_moving(trace).sum()), "limited": counts[""], "by_limit": by_limit}
 
 
@@ -65,7 +65,7 @@ def limit_lines(traces: Iterable[Trace]) -> list[str]:
     for trace in traces:
         part = trace.system.safety_filter
         if part is not None and not trace.known.missing(["limits"]):
-            own = np.array([_changed(trace), len(trace.ticks), overridden_stops(trace)])
+            own = np.array([changed_by_filter(trace).sum(), len(trace.ticks), overridden_stops(trace)])
             changed[part.name] = changed.get(part.name, np.zeros(3, np.int64)) + own
         counts = limited_commands(trace) if trace.scenario.driven else None
         if counts is not None:
@@ -82,13 +82,12 @@ def limit_lines(traces: Iterable[Trace]) -> list[str]:
 
 def overridden_stops(trace: Trace) -> int:
     """Return at how many ticks the safety filter overrode a protective stop of the controller."""
-    changed = trace.ticks["limits"] & int(Limit.SAFETY_FILTER) != 0
-    return int(np.count_nonzero(changed & trace.filtered["wanted_stop"]))
+    return int(np.count_nonzero(changed_by_filter(trace) & trace.filtered["wanted_stop"]))
 
 
-def _changed(trace: Trace) -> int:
-    """Return how many commands the safety filter changed."""
-    return int(np.count_nonzero(trace.ticks["limits"] & int(Limit.SAFETY_FILTER)))
+def changed_by_filter(trace: Trace) -> NDArray[np.bool_]:
+    """Return (n,) true at each tick at which the safety filter changed the command."""
+    return np.asarray(trace.ticks["limits"] & int(Limit.SAFETY_FILTER) != 0)
 
 
 def _line(name: str, counts: Counter[str], commands: int) -> str:

@@ -30,9 +30,8 @@ from safety_harness.cell.simulation.truth import cell_capsules
 from safety_harness.claims.properties.base import Evaluation, Unit, Worded, inconclusive, judged
 from safety_harness.claims.properties.entry import CatalogueEntry
 from safety_harness.claims.properties.measured import reads, unexercised
-from safety_harness.report.limiting import overridden_stops
+from safety_harness.report.limiting import changed_by_filter, overridden_stops
 from safety_harness.scenario.shield import Shield
-from safety_harness.trace.records import Limit
 from safety_harness.trace.trace import Trace
 
 JOINTS, HANDS, ELBOWS = "joint_position_rad", "hand_position_in_base_m", "elbow_position_in_base_m"
@@ -70,7 +69,7 @@ class HarmlessUnchanged(Worded):
         harmless = beside_hand & (shares >= 1.0)
         if not harmless.any():
             return unexercised(self, "every command that moved the arm could have harmed a hand")
-        changed = beside_hand & _changed(trace) & ~trace.filtered["held"]
+        changed = beside_hand & changed_by_filter(trace) & ~trace.filtered["held"]
         if not changed.any():
             reason = (
                 f"unchanged: all {int(beside_hand.sum())} commands that moved the arm while a hand was there"
@@ -156,11 +155,6 @@ def _allowed(
             own = share_within(free_m, robot_m, period_s, stop_s, g.hand_speed_mps, 0.0)
             if not own >= shares[k]:
                 shares[k] = own
-
-
-def _changed(trace: Trace) -> NDArray[np.bool_]:
-    """Return (n,) true at each tick at which the filter changed the command."""
-    return np.asarray(trace.ticks["limits"] & int(Limit.SAFETY_FILTER) != 0)
 
 
 HARMLESS_UNCHANGED = CatalogueEntry(

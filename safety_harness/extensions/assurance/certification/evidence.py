@@ -616,11 +616,9 @@ def _as_now(document: dict[str, Any]) -> dict[str, Any]:
         rest = {name: value for name, value in system.items() if name not in _NOTED_THEN}
         whole["system"] = rest | {"under_test": [plain(NOT_NOTED) | parts]}
     elif isinstance(system, dict) and isinstance(system.get("under_test"), list):
-        known_then = [
-            {"safety_filter": None} | part for part in system["under_test"] if isinstance(part, dict)
-        ]
-        if len(known_then) == len(system["under_test"]):
-            whole["system"] = system | {"under_test": known_then}
+        parts_then = system["under_test"]
+        if all(isinstance(part, dict) for part in parts_then):
+            whole["system"] = system | {"under_test": [{"safety_filter": None} | part for part in parts_then]}
     return whole
 
 
