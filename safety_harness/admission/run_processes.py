@@ -23,7 +23,7 @@ from safety_harness.scenario.model import Scenario
 from safety_harness.trace.trace import Trace
 
 FEWEST_RUNS = 8  # for fewer, the start of a process takes longer than it saves
-_AHEAD = 4  # finished runs for each process that may await judgement; a trace has a megabyte
+_AHEAD = 16  # finished runs for each process that may await judgement; a trace has a megabyte
 
 
 @dataclass

@@ -7,30 +7,62 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
+from itertools import chain
 from pathlib import Path
 from select import select
 from threading import Thread
+from typing import TYPE_CHECKING
 
 from safety_harness.base.compiling import Compilation
+from safety_harness.base.exceptions import SafetyHarnessError
+
+if TYPE_CHECKING:
+    from safety_harness.report.run_result import RunResult
 
 PROGRAM = "import sys; sys.path[:] = {path}; from safety_harness.report.compile_ahead import main; main()"
 
 # The claim is the one whose machine code takes longest.
-BRIEF_RUN = """
+_SHORT = """
 scenario: a brief run of each part
 duration: 40 ms
 tcp start:
   offset: [30 mm, -60 mm, 60 mm]
-avoider: mc-dropout
-hands:
-  - hand: right hand
+claims:
+  hand distance never below 1 mm: holds
+"""
+_PLACE = """
     starts at: [840 mm, -350 mm, 300 mm]
     elbow towards: [1600 mm, -1200 mm, 300 mm]
     moves: [{wait: 1 s}]
-claims:
-  hand distance never below 1 mm: holds
+"""
+BRIEF_RUN = f"""{_SHORT}
+avoider: mc-dropout
+hands:
+  - hand: right hand{_PLACE}
+"""
+# Machine code depends on the number of joints, and on whether there are more than two hands.
+SEVEN_JOINTS = f"""{_SHORT}
+avoider: opposite pose
+robot: shipped:panda
+settings:
+  cell:
+    desired tcp position: [500 mm, 0 mm, 250 mm]
+    preferred joint position: [0 deg, 0 deg, 0 deg, -135 deg, 0 deg, 130 deg, 45 deg]
+object:
+  position: [500 mm, 45 mm, -300 mm]
+hands:
+  - hand: right hand{_PLACE}
+"""
+THREE_HANDS = f"""{_SHORT}
+avoider: opposite pose
+hands:
+  - hand: right hand{_PLACE}
+  - hand: left hand{_PLACE}
+  - hand: second right hand{_PLACE}
 """
 
 
@@ -101,27 +133,49 @@ def _end(process: subprocess.Popen[str]) -> None:
 
 
 def main() -> None:
-    """Print what a brief run needs, then compile it, the last call first, until the first process ends."""
+    """Print what a brief run needs, then compile this and more, until the first process ends.
+
+    Each part is compiled from its last call to its first, because the first process begins at the first.
+    """
     Thread(target=_end_with_parent, daemon=True).start()
     parent = os.getppid()
     from safety_harness.base.compile_lock import hold
     from safety_harness.base.compiled import cache_root
     from safety_harness.base.interpreted import cache_indexes, calls_of
-    from safety_harness.report.run_job import run
-    from safety_harness.scenario.read import parse_scenario
 
-    calls = calls_of(lambda: run(parse_scenario(BRIEF_RUN)))
+    results: list[RunResult] = []
+    calls = calls_of(lambda: results.append(_run(BRIEF_RUN)))
     needed = [str(file) for file in cache_indexes(function for function, _ in calls)]
     sys.stdout.write(json.dumps(needed) + "\n")
     sys.stdout.flush()
     one_is_enough = not hold(cache_root() / "second-process.lock", wait=False)  # it works for all processes
     if one_is_enough or len(os.sched_getaffinity(0)) == 1:
         return
-    for function, types in reversed(calls):
-        if os.getppid() != parent:  # another process may keep our input open
-            return
-        with suppress(Exception):
-            function.compile(types)
+    further = (partial(_judge_all, results), partial(_run, SEVEN_JOINTS), partial(_run, THREE_HANDS))
+    for part in chain([calls], map(calls_of, further)):
+        for function, types in reversed(part):
+            if os.getppid() != parent:  # another process may keep our input open
+                return
+            with suppress(Exception):
+                function.compile(types)
+
+
+def _run(text: str) -> RunResult:
+    """Run a scenario that is given as text."""
+    from safety_harness.report.run_job import run
+    from safety_harness.scenario.read import parse_scenario
+
+    return run(parse_scenario(text))
+
+
+def _judge_all(results: Sequence[RunResult]) -> None:
+    """Judge the runs of some results by every claim of the catalogue."""
+    from safety_harness.claims.properties.catalogue import CATALOGUE
+
+    for judged in (run for result in results for run in result.runs):
+        for entry in CATALOGUE:
+            with suppress(SafetyHarnessError):
+                entry.prop.evaluate(judged.trace)
 
 
 def _end_with_parent() -> None:

@@ -132,10 +132,10 @@ def closest_between(
     """Return both bounds of a hand's least distance [m] over ``instants``, and the lower's time in ticks."""
     low_m, index, fraction, high_m = _closest_in_trace(
         arm,
-        joints_rad,
-        hand_m,
-        elbow_m,
-        distance_m,
+        np.array(joints_rad, order="C"),
+        np.array(hand_m, order="C"),
+        np.array(elbow_m, order="C"),
+        np.array(distance_m, order="C"),
         slack_m,
         size.radius_m,
         size.forearm_radius_m,

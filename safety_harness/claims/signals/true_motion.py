@@ -51,8 +51,8 @@ TOLERANCE = 1e-9  # of metres, m/s and entries of rotations, for the last digits
 class TrueMotion:
     """The motion at each of n ticks, with positions in the base frame [m].
 
-    The arrays are read-only views, for speed. Each is made on first use, so that a property reads only the
-    columns that it states.
+    Each array is made on first use, so that a property reads only the columns that it states.  It is a
+    contiguous copy, because machine code for strided arrays would be compiled in addition.
     """
 
     def __init__(self, ticks: NDArray[np.void]) -> None:
@@ -61,17 +61,17 @@ class TrueMotion:
     @cached_property
     def joints_rad(self) -> NDArray[np.float64]:
         """(n, joints)."""
-        return self._ticks["joint_position_rad"]
+        return np.array(self._ticks["joint_position_rad"], order="C")
 
     @cached_property
     def rates_radps(self) -> NDArray[np.float64]:
         """(n, joints)."""
-        return self._ticks["joint_velocity_radps"]
+        return np.array(self._ticks["joint_velocity_radps"], order="C")
 
     @cached_property
     def tcp_m(self) -> NDArray[np.float64]:
         """(n, 3)."""
-        return self._ticks["transform_tcp_to_base"][:, :3, 3]
+        return np.array(self._ticks["transform_tcp_to_base"][:, :3, 3], order="C")
 
     @cached_property
     def hands_m(self) -> NDArray[np.float64]:
@@ -79,7 +79,7 @@ class TrueMotion:
         hands, elbows = (columns(self._ticks.dtype)[body] for body in BODIES)
         assert hands.stop == elbows.start
         both = as_numbers(self._ticks)[:, hands.start : elbows.stop]
-        return both.reshape(len(both), 2, -1, 3).transpose(0, 2, 1, 3)
+        return np.array(both.reshape(len(both), 2, -1, 3).transpose(0, 2, 1, 3), order="C")
 
     @cached_property
     def present(self) -> NDArray[np.bool_]:
