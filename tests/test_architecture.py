@@ -30,6 +30,7 @@ CELL = (
 # A wing imports the core, and the wings that stand here.
 WINGS = {
     "arms": (),
+    "worlds": (),
     "gym": (),
     "lab": (),
     "field": (),

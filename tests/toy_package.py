@@ -64,7 +64,7 @@ class ToyDistance(type(HAND_DISTANCE.prop)):
 ToyDistance.__name__ = "ToyDistance"
 CLAIM = replace(HAND_DISTANCE, prop=ToyDistance(**vars(HAND_DISTANCE.prop)), pattern="", make=None)
 TOY_WORLD = replace(KINEMATIC, name="toy", label="toy")
-FALSE_REFERENCE = replace(KINEMATIC, name="mine", label="PyBullet", confirmed_by=None)
+FALSE_REFERENCE = replace(KINEMATIC, name="mine", label="PyBullet", model_only=False)
 
 
 def note(entry):

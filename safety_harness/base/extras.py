@@ -83,9 +83,16 @@ class Extra:
 PYBULLET = Extra(
     "pybullet",
     ("pybullet",),
-    "the reference world and rendered images; without it runs are kinematic",
-    instead="or use the kinematic world: --world kinematic (pytest's --safety-world, a plan's world)",
+    "the reference world and rendered images",
+    instead="or use another world: --world mujoco (extra mujoco) or kinematic; pytest: --safety-world",
     newest_wheel=(3, 11),
+)
+MUJOCO = Extra(
+    "mujoco",
+    ("mujoco",),
+    "the second reference world, also above Python 3.11",
+    package="mujoco-core",
+    instead="or use another world: --world kinematic",
 )
 IMAGES = Extra(
     "images",
@@ -109,7 +116,7 @@ GYM = Extra("gym", ("gymnasium",), "worlds as Gymnasium environments")
 POLICIES = Extra(
     "policies", ("stable_baselines3",), "policies trained in environments", package="stable-baselines3"
 )
-EXTRAS = (PYBULLET, IMAGES, ONNX, LEARNING, FITTING, EXPORT, LOGS, CLUSTER, GYM, POLICIES)
+EXTRAS = (PYBULLET, MUJOCO, IMAGES, ONNX, LEARNING, FITTING, EXPORT, LOGS, CLUSTER, GYM, POLICIES)
 
 
 @contextmanager

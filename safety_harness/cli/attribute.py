@@ -8,7 +8,7 @@ from pathlib import Path
 
 from safety_harness.admission.avoiders import SAFETY_FILTER, option_of
 from safety_harness.base.input_errors import InputErrors
-from safety_harness.cell.simulation.worlds import PYBULLET
+from safety_harness.cell.simulation.worlds import confirming_world, references
 from safety_harness.cli.console import BAD_INPUT, document, next_step, result, say
 from safety_harness.cli.progress import TERMINAL
 from safety_harness.report.attribution_job import DATA, PICTURE, TRACE, AttributionResult, attribute
@@ -42,11 +42,11 @@ def attribute_runs(
     first = min(paths[0].rglob(f"*{TRACE}"), default=paths[0])
     if made.interrupted:
         return code
-    if made.attributions and not confirm and PYBULLET.is_installed:
+    if made.attributions and not confirm and any(references()):
         chosen = [] if avoider is None else [option_of(avoider), str(avoider)]
         chosen += [] if safety_filter is None else [SAFETY_FILTER, safety_filter]
         command = ["safety-harness", "attribute", *map(str, paths), *chosen, "--confirm"]
-        next_step(shlex.join(command), f"the same in {PYBULLET.label}")
+        next_step(shlex.join(command), f"the same in {confirming_world()}")
     else:
         next_step(shlex.join(["safety-harness", "view" if first.suffix == TRACE else "run", str(first)]))
     return code

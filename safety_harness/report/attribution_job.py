@@ -15,7 +15,7 @@ from safety_harness.base.input_errors import InputErrors, each_once, usable
 from safety_harness.base.output import AS_EXPECTED, DIFFERS, INTERRUPTED, QUIET, Output
 from safety_harness.base.shipped.contents import located
 from safety_harness.base.whole_file import write_text
-from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET
+from safety_harness.cell.simulation.worlds import KINEMATIC, confirming_world
 from safety_harness.report.page_parts import asset
 from safety_harness.report.run_result import RunResult
 from safety_harness.report.search_attribution import confirming_line, draw_attributions
@@ -70,7 +70,7 @@ def attribute(
     """
     tested = one_of(avoider, controller)
     if confirm:
-        PYBULLET.opener()
+        confirming_world().opener()
     scenarios, errors = _scenarios(runs, tested, safety_filter)
     admitted, refused = usable(scenarios, Admitter().admit)
     if all_refused := each_once([*errors, *refused]):

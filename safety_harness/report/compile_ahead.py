@@ -7,7 +7,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -151,7 +151,11 @@ def main() -> None:
     one_is_enough = not hold(cache_root() / "second-process.lock", wait=False)  # it works for all processes
     if one_is_enough or len(os.sched_getaffinity(0)) == 1:
         return
-    further = (partial(_judge_all, results), partial(_run, SEVEN_JOINTS), partial(_run, THREE_HANDS))
+    further: tuple[Callable[[], object], ...] = (
+        partial(_judge_all, results),
+        partial(_run, SEVEN_JOINTS),
+        partial(_run, THREE_HANDS),
+    )
     for part in chain([calls], map(calls_of, further)):
         for function, types in reversed(part):
             if os.getppid() != parent:  # another process may keep our input open

@@ -31,7 +31,7 @@ from safety_harness.base.extras import LOGS
 from safety_harness.base.input_errors import InputErrors, each_once, usable
 from safety_harness.base.output import QUIET, Output
 from safety_harness.base.whole_file import writing
-from safety_harness.cell.simulation.worlds import DEFAULTED, REFERENCE, WorldEntry, default_world, world_named
+from safety_harness.cell.simulation.worlds import REFERENCE, WorldEntry, default_world, defaulted, world_named
 from safety_harness.claims.properties.against import Against, RunDifference
 from safety_harness.claims.properties.tried import TriedParts
 from safety_harness.report.decisions import fault_notes
@@ -71,7 +71,8 @@ def run(
         controller: The controller that replaces the visual servo: a name, ``FILE.py:NAME`` or a program.
         against: A reference avoider or controller.  It also runs every scenario, and the result compares the
             two.
-        world: A world or its label, such as ``kinematic``; None: PyBullet if it is installed.
+        world: A world or its label, such as ``kinematic``; None: PyBullet, else MuJoCo, else the kinematic
+            world, whichever is installed.
         out: The folder into which each trace is written as soon as its run ends.  None: No files are written.
         keep_going: Whether to run the usable inputs even if other inputs cannot be used.
         jobs: The number of processes; None: one for each core, if there are many runs.
@@ -91,7 +92,7 @@ def run(
         part_named(ExtensionPoint.RUN_FORMATS, "mcap", FunctionType)
     chosen = world_named(world, "world") if isinstance(world, str) else world or default_world()
     if world is None and chosen is not REFERENCE:
-        output.say(DEFAULTED)
+        output.say(defaulted(chosen))
     tested = one_of(_reference(avoider), _reference(controller))
     reference = reference_for(tested, _reference(against))
     paths, objects = _paths_and_objects(scenarios)

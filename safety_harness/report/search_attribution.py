@@ -8,7 +8,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 
 from safety_harness.admission.admit import Admitter
 from safety_harness.base.exceptions import described
-from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET
+from safety_harness.cell.simulation.worlds import KINEMATIC, REFERENCE, confirming_world, references
 from safety_harness.report.svg import Ink, describe, plain
 from safety_harness.scenario.model import Claim, Scenario
 from safety_harness.search.attribution.attribute import (
@@ -27,9 +27,9 @@ MOST_ATTRIBUTED = 100  # groups of violations that are attributed for one search
 
 
 def confirming_line(replay: Replay, attribution: Attribution) -> str:
-    """Return a line with PyBullet's verdict on a violation, for the unchanged or a changed system."""
+    """Return a line with a reference's verdict on a violation, for the unchanged or a changed system."""
     margin = attribution.unit.margin_text(replay.margin)
-    return f"in {PYBULLET.label}, {replay.summary or 'as it is'}: {replay.outcome.value}, {margin}"
+    return f"in {confirming_world()}, {replay.summary or 'as it is'}: {replay.outcome.value}, {margin}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,13 +66,13 @@ class SearchAttribution:
     _admitter: Admitter = field(default_factory=Admitter)
 
     def explain(self, scenario: Scenario, claim: Claim) -> Explanation:
-        """Explain one counterexample; changes that remove the violation are also run in PyBullet."""
+        """Explain one counterexample; changes that remove the violation are also run in a reference."""
         self.found.pop(scenario.name, None)  # of an example that had this name before a merge of groups
         try:
             admitted = self._admitter.admit(scenario)
             (attribution,) = attribute(admitted, (claim,))
-            in_pybullet = attribution.answer is AttributionAnswer.ATTRIBUTED and PYBULLET.is_installed
-            there = confirmed(admitted, attribution) if in_pybullet else ()
+            runs_there = attribution.answer is AttributionAnswer.ATTRIBUTED and any(references())
+            there = confirmed(admitted, attribution) if runs_there else ()
         except Exception as error:  # a failing explanation must not lose the finding
             return Explanation((f"whose fault: cannot be told: {described(error)}",))
         self.found[scenario.name] = attribution
@@ -85,7 +85,7 @@ class SearchAttribution:
             ),
             (attribution.mending or (f"{attribution.group}: {claim.sentence}",)) if known else (),
             cost_s(KINEMATIC, [scenario] * (1 + len(attribution.replays)))
-            + cost_s(PYBULLET, [scenario] * len(there)),
+            + cost_s(REFERENCE, [scenario] * len(there)),
         )
 
     def explains(self, shown: WrittenCounterexample) -> bool:

@@ -16,7 +16,7 @@ from safety_harness.base.exceptions import OutputError, ScenarioError
 from safety_harness.base.interrupts import one_more_ctrl_c
 from safety_harness.base.output import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED, QUIET, Output
 from safety_harness.base.whole_file import write_text
-from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET
+from safety_harness.cell.simulation.worlds import KINEMATIC
 from safety_harness.claims.properties.against import Against
 from safety_harness.claims.properties.answered import fallback_words
 from safety_harness.report.decisions import cost_words
@@ -167,7 +167,7 @@ class SearchResult:
         return DIFFERS if self.session.differs or not alike else AS_EXPECTED
 
     def __repr__(self) -> str:
-        basis = basis_of_search(self.findings, self.session.confirmed)
+        basis = basis_of_search(self.findings, self.session.confirmed_in)
         return f"<{self.session.trials.space.name}: {self.session.summary}. {basis}>"
 
     def data(self) -> dict[str, object]:
@@ -264,6 +264,8 @@ def evidence_of(session: SearchSession, attribution: SearchAttribution | None = 
         violations=trials.violations,
         shown=tuple(session.written),
         confirmed=session.confirmed,
+        physical=session.physical,
+        confirmed_in=tuple(map(str, session.references)),
         unconfirmed=tuple(session.unconfirmed),
         not_found=tuple(session.not_found),
         faults=faults,
@@ -276,10 +278,10 @@ def evidence_of(session: SearchSession, attribution: SearchAttribution | None = 
         agreement=measured_agreement(),
         system=trials.system,
         provenance=provenance(
-            KINEMATIC.name + (f", confirmed in {PYBULLET.name}" if session.reference else ""),
-            PYBULLET.libraries if session.reference else (),
+            ", confirmed in ".join(world.name for world in (KINEMATIC, *session.references)),
+            tuple(library for world in session.references for library in world.libraries),
         ),
-        unconfirmable="" if session.reference else NO_REFERENCE,
+        unconfirmable="" if session.references else NO_REFERENCE,
     )
 
 
@@ -305,7 +307,7 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
     findings, baseline = evidence.findings, evidence.baseline
     return {
         "space": evidence.space,
-        "basis": basis_of_search(findings, evidence.confirmed),
+        "basis": basis_of_search(findings, evidence.confirmed_in if evidence.confirmed else ()),
         "avoider": None if isinstance(trials.avoider, Driver) else trials.avoider,
         "system": evidence.system.as_dict,
         "against": None if trials.against is None else _held(trials.against),
@@ -331,8 +333,10 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
             _of_group(trials, group) | {"counterexample": _file_of(group, evidence)}
             for group in findings.groups
         ],
-        "confirmed_in_pybullet": evidence.confirmed,
-        "not_confirmed_in_pybullet": [_of_group(trials, example.group) for example in evidence.unconfirmed],
+        "confirmed_in": list(evidence.confirmed_in),
+        "confirmed": evidence.confirmed,
+        "physics_had_a_part": evidence.physical,
+        "not_confirmed": [_of_group(trials, example.group) for example in evidence.unconfirmed],
         "counterexamples": [shown.path.name for shown in evidence.shown],
         "flips_near_the_limit": list(evidence.flips),
         "worse_than_the_reference": list(evidence.worse),

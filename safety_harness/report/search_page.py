@@ -16,7 +16,7 @@ from safety_harness.admission.avoiders import replay_command
 from safety_harness.admission.repeatability import RepeatabilityResult
 from safety_harness.base.exceptions import described
 from safety_harness.base.proportions import share_words
-from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET
+from safety_harness.cell.simulation.worlds import KINEMATIC, REFERENCE
 from safety_harness.claims.properties.against import Against
 from safety_harness.claims.properties.base import Evaluation, Unit
 from safety_harness.report.axes import Axes, Picture, stairs
@@ -50,10 +50,10 @@ class SearchEvidence:
 
     ``fallback`` states how often the fallback replaced the avoider, if it did.  ``repeated`` holds the
     answers of a second avoider; None if it was not asked.  ``baseline`` is the uniform sampling with the same
-    budget, if the user requested it.  ``unconfirmed`` are the findings that PyBullet does not reproduce;
-    ``confirmed`` counts those that it does.  ``not_found`` are claims that the space expects to be violated,
-    but that no counterexample violates.  ``unconfirmable`` states why PyBullet confirmed nothing, if it was
-    not available.
+    budget, if the user requested it.  ``unconfirmed`` are the findings that a reference world does not show;
+    ``confirmed`` counts those that all of ``confirmed_in`` show.  ``not_found`` are claims that the space
+    expects to be violated, but that no counterexample violates.  ``unconfirmable`` states why nothing was
+    confirmed, if no reference was available.
     """
 
     title: str
@@ -73,6 +73,8 @@ class SearchEvidence:
     violations: Coverage
     shown: tuple[WrittenCounterexample, ...]
     confirmed: int
+    physical: int  # of these, findings in which physics had a part
+    confirmed_in: tuple[str, ...]  # the installed references
     unconfirmed: tuple[Disagreement, ...]
     not_found: tuple[str, ...]
     nearest_hand_m: float
@@ -106,7 +108,7 @@ def render(evidence: SearchEvidence) -> str:
     replays = Replays()
     return render_page(
         "search.html.j2",
-        basis=basis_of_search(findings, evidence.confirmed),
+        basis=basis_of_search(findings, evidence.confirmed_in if evidence.confirmed else ()),
         style="search.css",
         scripts=("coverage.js",),
         replays=bool(evidence.shown),
@@ -150,7 +152,8 @@ def render(evidence: SearchEvidence) -> str:
         draws=DRAWS,
         most_open=MOST_OPEN,
         searched=KINEMATIC,
-        confirming=PYBULLET,
+        confirming=" and ".join(evidence.confirmed_in) or REFERENCE,
+        measured=REFERENCE,
     )
 
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.claims import property_of
 from safety_harness.base.exceptions import InputError, described
@@ -22,6 +24,8 @@ from safety_harness.search.against import Reference
 from safety_harness.search.findings import RUN_FAILED, Group
 from safety_harness.search.trials import ScenarioRunner
 from safety_harness.trace.trace import Trace
+
+SAME_RAD = 1e-3  # PyBullet's Panda, whose motors are strong, is up to 1.5e-4 rad from the kinematic world's
 
 
 @dataclass(frozen=True)
@@ -132,7 +136,7 @@ class InOneWorld:
 
 @dataclass(frozen=True, eq=False)
 class Disagreement:
-    """A finding that PyBullet does not show, with its runs in both worlds; None for a world without a run."""
+    """A finding that a reference does not show, with the runs of both worlds; None: without that run."""
 
     group: Group
     complaint: Complaint
@@ -161,6 +165,25 @@ def disagreement_of(
     return Disagreement(
         group, complaint, in_one_world(searched, admitted), in_one_world(confirming, admitted)
     )
+
+
+def physics_of(run: Trace | Exception, model: Trace | Exception) -> tuple[bool, str]:
+    """Return whether physics had a part in a run, and this as a line for people.
+
+    Where no motor saturates and nothing is touched, a world with an engine computes what the kinematic world
+    computes.  Then its run repeats a finding, and adds no evidence from physics.
+
+    Args:
+        run: The run in a world with an engine.
+        model: The run of the same scenario in the kinematic world.
+
+    """
+    if isinstance(run, Exception) or isinstance(model, Exception) or len(run.ticks) != len(model.ticks):
+        return True, "physics had a part: the kinematic world's run ends otherwise"
+    apart_rad = np.abs(run.ticks["joint_position_rad"] - model.ticks["joint_position_rad"]).max(initial=0.0)
+    had_part = not apart_rad <= SAME_RAD
+    words = "a part: joints up to" if had_part else "no part: joints at most"
+    return had_part, f"physics had {words} {apart_rad:.1g} rad from those of the kinematic world"
 
 
 def in_one_world(

@@ -18,7 +18,7 @@ import numpy as np
 
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.avoiders import folder_of
-from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry
+from safety_harness.cell.simulation.worlds import KINEMATIC, REFERENCE, WorldEntry
 from safety_harness.claims.properties.base import Evaluation
 from safety_harness.claims.properties.hand_distance import nearest_hand
 from safety_harness.scenario.model import Claim, Scenario, Verdict
@@ -33,12 +33,12 @@ from safety_harness.trace.records import Check, DecisionOutcome
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import decided
 
-STARTS_S, PYBULLET_COSTS = 5.0, 5.0  # measured: the cost of starting a run, and PyBullet's factor
+STARTS_S, ENGINE_COSTS = 5.0, 5.0  # measured: the cost of starting a run, and the factor of an engine
 
 
 def cost_s(world: WorldEntry, runs: Sequence[Scenario]) -> float:
     """Return what ``runs`` in ``world`` cost, as simulated seconds [s] of the kinematic world."""
-    return (PYBULLET_COSTS if world == PYBULLET else 1.0) * sum(
+    return (ENGINE_COSTS if world.reference else 1.0) * sum(
         STARTS_S + scenario.duration_s for scenario in runs
     )
 
@@ -314,7 +314,7 @@ def counterexample_of(
     allowance.spent_s += explanation.cost_s
     allowance.explained |= bool(explanation.lines)
     draws = not (shrunk.interrupted or shrunk.scenario.driven)
-    drawn = draws and allowance.has(cost_s(PYBULLET, [shrunk.scenario] * DRAWS))
+    drawn = draws and allowance.has(cost_s(REFERENCE, [shrunk.scenario] * DRAWS))
     is_cut |= (claim is not None and not affordable) or draws is not drawn
     return Counterexample(
         complaint,

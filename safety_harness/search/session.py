@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from safety_harness.admission.admit import admit
 from safety_harness.admission.avoiders import as_seen_from
 from safety_harness.admission.repeatability import RepeatabilityResult
 from safety_harness.base.compiling import Pace
@@ -25,14 +26,14 @@ from safety_harness.base.output import Output, where
 from safety_harness.base.seeds import Branch
 from safety_harness.base.seeds import seed as leaf
 from safety_harness.base.whole_file import write_text, writing
-from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET
+from safety_harness.cell.simulation.worlds import KINEMATIC, REFERENCE, WorldEntry, references
 from safety_harness.claims.properties.against import Against
 from safety_harness.claims.properties.answered import fallback_words
 from safety_harness.claims.properties.base import Unit, close_to, far_words
 from safety_harness.claims.properties.tally import basis, short_basis
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
-from safety_harness.search.confirm import Complaint, Disagreement, disagreement_of
+from safety_harness.search.confirm import Complaint, Confirm, Disagreement, disagreement_of, physics_of
 from safety_harness.search.counterexample import (
     Allowance,
     Counterexample,
@@ -50,14 +51,13 @@ from safety_harness.search.redrawn import keep_differences, more_overruled, wors
 from safety_harness.search.sampling import UniformSampling
 from safety_harness.search.search import find_violations
 from safety_harness.search.searchers import MakesSearcher
-from safety_harness.search.trials import ScenarioRunner, Trials, in_kinematic, in_pybullet
+from safety_harness.search.trials import InWorld, ScenarioRunner, Trials, in_kinematic
 from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
 
 FINDINGS, AS_FOUND = "findings.json", "as-found"
 AS_EXPECTED = " (as the space expects)"
-NOT_CONFIRMED = f"not confirmed in {PYBULLET.label}"
-NO_REFERENCE = f"nothing is confirmed in {PYBULLET.label}, which is not installed: this is {KINEMATIC} alone"
+NO_REFERENCE = f"nothing is confirmed, as no reference ({REFERENCE}) is installed: this is {KINEMATIC} alone"
 MOST_SHRUNK = 3  # counterexamples of each claim, and of run errors
 SHRINKING_RUNS = 200  # for each counterexample
 AN_EXAMPLE = 40  # an example costs about as much as so many runs of the space
@@ -67,16 +67,16 @@ LEAST_DRAWN = 300  # pairs of runs anywhere in the space; with fewer, a share of
 _BATCH = 64  # runs that are simulated together
 
 
-def basis_of_search(findings: Findings, confirmed: int) -> str:
+def basis_of_search(findings: Findings, confirmed_in: Sequence[str]) -> str:
     """Return a sentence on the worlds and the runs on which the findings of a search rest.
 
     Args:
         findings: The findings.
-        confirmed: The number of findings that PyBullet confirms.
+        confirmed_in: The worlds that confirm findings; empty if none is confirmed.
 
     """
     counts = [(int(runs), findings.tried) for runs in findings.evidence]
-    return basis([str(KINEMATIC), *[str(PYBULLET)] * bool(confirmed)], counts)
+    return basis([str(KINEMATIC), *confirmed_in], counts)
 
 
 def _counted(count: int, noun: str = "violation") -> str:
@@ -152,23 +152,22 @@ class SearchSession:
     """One search of a space with its findings; it prints a finding that it cannot write.
 
     ``baseline`` holds the findings of uniform sampling with the same budget. ``confirmed`` counts the
-    findings that the world ``confirming`` shows too. If ``reference`` is False, ``confirming`` is the
-    searched world, and ``confirmed`` stays 0. ``unwritable`` is the reason why the session stopped writing.
-    ``explain`` is called to explain each violation. ``repeated`` compares the avoider's answers with those of
-    a second instance; None without this comparison. ``flips`` lists differences from the reference avoider
-    that a redraw did not show. ``worse`` has sentences on what the avoider does worse than the reference
-    although it violates no claim for it: proposals that the gate refuses, wrong or late answers. Unless
-    ``explains_all``, an ``allowance`` limits explanations to the search's simulated time. ``examples`` holds
-    the violations of each claim. The session calls ``concluding`` after the search. ``keeps`` tells whether
-    the session writes findings to ``out``.
+    findings that all ``references`` show too: the installed worlds that confirm results. Without one,
+    they shrink in the searched world, and ``confirmed`` stays 0. ``unwritable`` is the reason why the
+    session stopped writing. ``explain`` is called to explain each violation. ``repeated`` compares the
+    avoider's answers with those of a second instance; None without this comparison. ``flips`` lists
+    differences from the reference avoider that a redraw did not show. ``worse`` has sentences on what the
+    avoider does worse than the reference although it violates no claim for it: proposals that the gate
+    refuses, wrong or late answers. Unless ``explains_all``, an ``allowance`` limits explanations to the
+    search's simulated time. ``examples`` holds the violations of each claim. The session calls
+    ``concluding`` after the search. ``keeps`` tells whether the session writes findings to ``out``.
     """
 
     trials: Trials
     out: Path
     budget: int
     output: Output
-    confirming: ScenarioRunner = in_pybullet
-    reference: bool = True
+    references: tuple[WorldEntry, ...] = ()
     explain: Explain = unexplained
     explains_all: bool = True
     concluding: Callable[[SearchSession], None] = lambda session: None
@@ -176,6 +175,7 @@ class SearchSession:
     baseline: Findings | None = None
     written: list[WrittenCounterexample] = field(default_factory=list)
     confirmed: int = 0
+    physical: int = 0
     unwritable: OutputError | None = None
     unconfirmed: list[Disagreement] = field(default_factory=list)
     repeated: RepeatabilityResult | None = None
@@ -184,6 +184,21 @@ class SearchSession:
     keeps: bool = True
     allowance: Allowance = field(default_factory=Allowance)
     examples: list[_Examples] = field(default_factory=list)
+
+    @property
+    def confirming(self) -> ScenarioRunner:
+        """The runner of the first reference, in which findings shrink; without one, of the searched world."""
+        return InWorld(next(iter(self.references), KINEMATIC))
+
+    @property
+    def _confirming_words(self) -> str:
+        """The worlds in which findings are repeated; without a reference, the searched world."""
+        return " and ".join(map(str, self.references)) or str(KINEMATIC)
+
+    @property
+    def confirmed_in(self) -> tuple[str, ...]:
+        """The worlds that confirm findings; empty if no finding is confirmed."""
+        return tuple(map(str, self.references if self.confirmed else ()))
 
     @property
     def causes(self) -> Causes:
@@ -287,15 +302,19 @@ class SearchSession:
         for line in remarks(self.trials, findings, self.worse):
             say(line)
         self.output.detail("coverage: " + str(self.trials.coverage).replace("\n", "\n  "))
-        whole_basis = basis_of_search(findings, self.confirmed)
+        whole_basis = basis_of_search(findings, self.confirmed_in)
         say(short_basis(whole_basis))
         self.output.detail(whole_basis)
         for sentence in [] if findings.interrupted else self.not_found:
             self.output.result(f"NOT FOUND  {sentence}: {not_found_words(findings)}")
-        if self.written and not self.reference:
+        if self.written and not self.references:
             say(NO_REFERENCE)
+        if self.confirmed:
+            repeated = f"repeated in {self._confirming_words}: {_counted(self.confirmed, 'finding')}"
+            say(f"{repeated}; physics had a part in {self.physical}")
         if self.unconfirmed:
-            say(f"{len(self.unconfirmed)} findings were {NOT_CONFIRMED}; they are in {FINDINGS}")
+            count = f"{len(self.unconfirmed)} findings were not confirmed in {self._confirming_words}"
+            say(f"{count}; they are in {FINDINGS}")
 
     def last_lines(self, unwritable: OutputError | None) -> list[str]:
         """Return lines: the command that runs the counterexamples again, and the error of a failed write."""
@@ -304,7 +323,7 @@ class SearchSession:
             again = ["safety-harness", "run", *(str(written.path) for written in self.written)]
             reference = self.trials.reference
             again += [] if reference is None else ["--against", reference.name]
-            again += [] if self.reference else ["--world", KINEMATIC.label]
+            again += [] if self.references else ["--world", KINEMATIC.label]
             lines.append(f"next: {shlex.join(again)}    (they run as they say)")
         return lines + ([] if unwritable is None else [f"error: {explanation(unwritable)}"])
 
@@ -363,7 +382,7 @@ class SearchSession:
     def _origin(self, group: Group, searcher: str) -> list[str]:
         """Return lines on where ``group`` was found, after doubts about its avoider or confirmation."""
         doubt = [self.repeated.line] if self.repeated is not None and self.repeated.words else []
-        doubt += [] if self.reference else [NO_REFERENCE]
+        doubt += [] if self.references else [NO_REFERENCE]
         return [*doubt, *origin_of(self.trials, group.worst, searcher)]
 
     @property
@@ -426,7 +445,7 @@ class SearchSession:
                     complaint,
                     self.confirming,
                     budget=SHRINKING_RUNS,
-                    sooner=self.trials.world if self.reference else None,
+                    sooner=self.trials.world if self.references else None,
                     explain=self.explain,
                     allowance=self.allowance,
                     on_step=on_step,
@@ -438,16 +457,36 @@ class SearchSession:
                 group.worst = episode
                 break
         if case is None:
-            self.unconfirmed.append(
-                disagreement_of(group, complaint, scenario, self.trials.world, self.confirming)
-                if len(self.unconfirmed) < MOST_RUN_TWICE
-                else Disagreement(group, complaint)
-            )
-            self.output.say(f"{NOT_CONFIRMED}: {complaint.sentence}, point {group.worst.number}")
+            self._keep_unconfirmed(group, complaint, scenario, self.confirming)
+            where = f"{complaint.sentence}, point {group.worst.number}"
+            self.output.say(f"not confirmed in {self._confirming_words}: {where}")
             return None
-        self.confirmed += self.reference
+        for world in self.references[1:]:
+            if not Confirm(complaint, InWorld(world))(case.shrunk.scenario):
+                self._keep_unconfirmed(group, complaint, case.shrunk.scenario, InWorld(world))
+                worlds = f"{self.references[0]} shows this, {world} does not"
+                self.output.result(f"REFERENCES DISAGREE  {complaint.sentence}: {worlds}")
+                return None
         self.findings.interrupted |= case.shrunk.interrupted
-        return case
+        return self._with_physics(case) if self.references else case
+
+    def _with_physics(self, case: Counterexample) -> Counterexample:
+        """Count a confirmed case, and return it with a line that says whether physics had a part in it."""
+        (model,) = in_kinematic([admit(case.shrunk.scenario)])
+        had_part, words = physics_of(case.run, model)
+        self.confirmed, self.physical = self.confirmed + 1, self.physical + had_part
+        line = f"repeated in {self._confirming_words}; {words}"
+        return replace(case, circumstances=(*case.circumstances, line))
+
+    def _keep_unconfirmed(
+        self, group: Group, complaint: Complaint, scenario: Scenario, world: ScenarioRunner
+    ) -> None:
+        """Keep a finding that a reference does not show, at first with its runs in both worlds."""
+        self.unconfirmed.append(
+            disagreement_of(group, complaint, scenario, self.trials.world, world)
+            if len(self.unconfirmed) < MOST_RUN_TWICE
+            else Disagreement(group, complaint)
+        )
 
     def _file(self, folder: Path, complaint: Complaint, number: int) -> Path:
         """Return the path of counterexample ``number`` of ``complaint`` in ``folder``."""
@@ -571,7 +610,8 @@ def search_space(
 ) -> SearchSession:
     """Search a space, then shrink, confirm, explain and write the findings.
 
-    Without PyBullet, findings shrink in the kinematic world, and the output states that nothing is confirmed.
+    Without a reference world, findings shrink in the kinematic world, and the output states that nothing
+    is confirmed.
 
     Args:
         trials: The trials of the space.
@@ -592,17 +632,15 @@ def search_space(
         InadmissibleError: Admission refuses almost every point of the space.
 
     """
-    there = PYBULLET.is_installed
-    confirming = in_pybullet if there else in_kinematic
     session = SearchSession(
-        trials, out or Path(), budget, output, confirming, there, explain, explains_all, concluding
+        trials, out or Path(), budget, output, tuple(references()), explain, explains_all, concluding
     )
     session.keeps = out is not None
     at = session.out
     files = [*at.glob("*.yaml"), *(at / AS_FOUND).rglob("*.yaml")] if (at / FINDINGS).exists() else []
     if session.keeps and files:
         output.say(f"{out} keeps the files of an earlier search, {files[0].name} among them")
-    if not there:
+    if not session.references:
         output.say(NO_REFERENCE)
     session.findings = session.search(make, trials)
     if baseline and not session.findings.interrupted and session.unwritable is None:

@@ -31,7 +31,7 @@ from safety_harness.base.seeds import seed as leaf
 from safety_harness.base.settings import Settings
 from safety_harness.cell.avoidance.avoider import decision_time_of
 from safety_harness.cell.simulation.simulate import INTERRUPTED
-from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry
+from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry, confirming_world
 from safety_harness.claims.properties.against import Against, RunDifference
 from safety_harness.claims.properties.answered import (
     DEFAULT_CLAIM,
@@ -100,8 +100,8 @@ class InWorld:
         """Run all scenarios, in one batch if the world supports it."""
         runs: list[Trace | Exception] = []
         for scenario, run in zip(admitted, run_all(admitted, self.world), strict=True):
-            if isinstance(run, InadmissibleError) and self.world.confirmed_by is not None:
-                run = next(run_all([scenario], self.world.confirmed_by))
+            if isinstance(run, InadmissibleError) and self.world.model_only:
+                run = next(run_all([scenario], confirming_world()))
             if isinstance(run, Trace) and run.ended == INTERRUPTED:
                 raise KeyboardInterrupt
             runs.append(run)
@@ -109,7 +109,7 @@ class InWorld:
 
 
 in_pybullet = InWorld(PYBULLET)
-"""The runner of the reference world."""
+"""The runner of the first reference world."""
 in_kinematic = InWorld(KINEMATIC)
 """The runner of the kinematic world."""
 

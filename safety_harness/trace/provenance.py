@@ -32,6 +32,7 @@ LIBRARIES = {
     "numpy": f"numpy.{'_core' if np.__version__[0] != '1' else 'core'}._multiarray_umath",
     "numba": "numba._dispatcher",
     "pybullet": "pybullet",
+    "mujoco": "mujoco._structs",
     "cv2": "cv2",
 }
 OF_EVERY_RUN = ("numpy", "numba")

@@ -104,7 +104,7 @@ explain_claims(["toy", "distance"])
     assert "always toy height > -1 m: holds" in done.stdout
     assert "toy distance > 30 mm: " in done.stdout
     assert "entry point safety_harness.worlds toy of toy 1.0" in done.stdout
-    assert "['pybullet', 'kinematic', 'toy']" in done.stdout
+    assert "['pybullet', 'kinematic', 'mujoco', 'toy']" in done.stdout
     assert "a note of the toy" in done.stdout
     assert "the reference is pybullet" in done.stdout
     assert "skipped safety_harness.worlds zz: another part has its name" in done.stderr

@@ -227,7 +227,7 @@ def test_what_pybullet_does_not_confirm_is_listed_and_is_no_violation(
     assert fuzz(space, out=out, budget=2, claims=["joint speeds within limits"]) == AS_EXPECTED
     assert "not confirmed in PyBullet" in capsys.readouterr().err
     assert counterexamples(out) == []
-    assert json.loads((out / "findings.json").read_text())["not_confirmed_in_pybullet"]
+    assert json.loads((out / "findings.json").read_text())["not_confirmed"]
 
 
 @pytest.mark.parametrize(

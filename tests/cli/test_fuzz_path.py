@@ -72,7 +72,7 @@ def test_a_bug_is_found_run_again_tested_replayed_and_gone_once_it_is_repaired(
     assert sorted(one.name for one in out.iterdir() if one.is_file()) == sorted(
         ["coverage.svg", "findings.json", "fuzz.html", file.name, file.with_suffix(".trace").name]
     )
-    assert json.loads((out / "findings.json").read_text())["confirmed_in_pybullet"] >= 1
+    assert json.loads((out / "findings.json").read_text())["confirmed"] >= 1
 
     assert run([file], project / "again") == AS_EXPECTED
     tested = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(file)]

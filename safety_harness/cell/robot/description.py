@@ -143,7 +143,7 @@ class ArmModel:
         """The numbers that the URDF does not state, each with the uses that need it."""
         missing = [
             (self._joints(self.velocity_limit_radps), "speed", (Use.RUN,), "joint speed limits"),
-            (self._joints(self.effort_limit), "effort", (Use.TORQUES, Use.PYBULLET), "joint torque limits"),
+            (self._joints(self.effort_limit), "effort", (Use.TORQUES, Use.PHYSICS), "joint torque limits"),
         ]
         lacks = [
             Lack(f"the {quantity} of {names}", uses, f"the arm's key `{key}`")
@@ -155,7 +155,7 @@ class ArmModel:
             lacks.append(Lack("the unit of the limits, which look like degrees", (Use.RUN,), supply))
         if self.without_inertia:
             quantity = f"a mass and inertia that a body can have, of {', '.join(self.without_inertia)}"
-            lacks.append(Lack(quantity, (Use.TORQUES, Use.PYBULLET), "<inertial> in the URDF"))
+            lacks.append(Lack(quantity, (Use.TORQUES, Use.PHYSICS), "<inertial> in the URDF"))
         return tuple(lacks)
 
     def _joints(self, numbers: NDArray[np.float64]) -> str:

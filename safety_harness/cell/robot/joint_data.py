@@ -29,7 +29,7 @@ class Use(StrEnum):
 
     RUN = "a run"
     TORQUES = "drives with a torque limit"
-    PYBULLET = "PyBullet"
+    PHYSICS = "a world with motors (PyBullet, MuJoCo)"
 
 
 @dataclass(frozen=True)

@@ -28,11 +28,12 @@ from safety_harness.cell.perception.hand_boxes import rendered_principal_point_p
 from safety_harness.cell.perception.moments import MOMENT_COUNT
 from safety_harness.cell.perception.raster import mask_moments
 from safety_harness.cell.robot.description import ArmModel, resolved_urdf
+from safety_harness.cell.robot.dynamics import GRAVITY_MPS2
 from safety_harness.cell.robot.joint_data import Use
 from safety_harness.cell.simulation.cameras import object_polygon_in_base
 from safety_harness.cell.simulation.engine import pybullet
+from safety_harness.cell.simulation.world import TABLE_CENTRE_M, TABLE_HALF_M
 
-TABLE_HALF_M = (1.5, 1.5, 0.02)
 OBJECT_THICKNESS_M = 0.0005
 OUT_OF_VIEW_M = (0.0, 0.0, -9.0)  # the position of hands until ``place_hands``
 OBJECT_COLOUR_RGBA = (*(value / 255.0 for value in OBJECT_RGB), 1.0)
@@ -71,7 +72,7 @@ def load_robot(client: int, arm: ArmModel, *, visuals: bool) -> tuple[int, tuple
         ArmFileError: The arm lacks an effort or an inertia.
 
     """
-    arm.require(Use.PYBULLET)
+    arm.require(Use.PHYSICS)
     tilt = vector_from_rotation(arm.transform_seat[:3, :3])
     robot = pybullet.loadURDF(
         str(urdf_file(arm, visuals)),
@@ -107,7 +108,7 @@ def build_cell(
         hands: The number of hands.
 
     """
-    pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
+    pybullet.setGravity(0.0, 0.0, -GRAVITY_MPS2, physicsClientId=client)
     pybullet.setTimeStep(
         settings.clock.control_period_s / settings.clock.physics_substeps, physicsClientId=client
     )
@@ -152,7 +153,11 @@ def _table(client: int, settings: Settings, *, rendered: bool) -> None:
             physicsClientId=client,
         )
     pybullet.createMultiBody(
-        0.0, collision, visual, basePosition=(1.0, 0.0, height_m - TABLE_HALF_M[2]), physicsClientId=client
+        0.0,
+        collision,
+        visual,
+        basePosition=np.add(TABLE_CENTRE_M, (0.0, 0.0, height_m)),
+        physicsClientId=client,
     )
 
 

@@ -30,16 +30,13 @@ from safety_harness.cell.simulation.steps import (
     send_hand_frame,
     send_object_frame,
 )
-from safety_harness.cell.simulation.world import RecordedWorld
+from safety_harness.cell.simulation.world import AMPLE, RecordedWorld, overshoot_radps
 from safety_harness.scenario.fault_table import acting
 from safety_harness.scenario.faults import FaultKind
 from safety_harness.scenario.model import Scenario
 from safety_harness.seams.contract import Image
 from safety_harness.trace.records import as_compiled
 from safety_harness.trace.trace import Trace
-
-UNNOTICED_RADPS = 1e-7  # motors miss their speeds by less than this unless they are saturated
-AMPLE = 1e4  # this factor on torque limits is enough for several times the mass within a sub-step
 
 
 class PyBulletWorld(RecordedWorld):
@@ -143,11 +140,7 @@ class PyBulletWorld(RecordedWorld):
             speeds_radps.append([state[1] for state in states])
         own_radps = np.array(speeds_radps)  # (sub-steps, joints)
         move_on(*r[1:9], np.array([state[0] for state in states]), own_radps[-1])
-        if np.abs(own_radps - own_radps[-1]).max() > UNNOTICED_RADPS:
-            ends_radps = np.stack([before_radps, own_radps[-1]])
-            above = own_radps.max(axis=0) - ends_radps.max(axis=0)
-            below = ends_radps.min(axis=0) - own_radps.min(axis=0)
-            self.overshoot_radps[tick] = np.maximum(np.maximum(above, below), 0.0)
+        self.overshoot_radps[tick] = overshoot_radps(before_radps, own_radps)
         return braking
 
     def image(self) -> Image:

@@ -20,6 +20,11 @@ if TYPE_CHECKING:
     from safety_harness.cell.robot.description import ArmModel
     from safety_harness.scenario.model import Scenario
 
+UNNOTICED_RADPS = 1e-7  # motors miss their speeds by less than this unless they are saturated
+AMPLE = 1e4  # this factor on torque limits is enough for several times the mass within a sub-step
+TABLE_HALF_M = (1.5, 1.5, 0.02)  # half the edges of the table's body
+TABLE_CENTRE_M = (1.0, 0.0, -TABLE_HALF_M[2])  # in the base frame, for a table at height 0
+
 
 class World(Protocol):
     """An episode of a scenario, to be used once, as a context manager, so that it is closed in any case."""
@@ -71,6 +76,25 @@ class ShowsImages(Protocol):
 
     def image(self) -> Image:
         """Return the last rendered image that the object's camera has delivered."""
+
+
+def overshoot_radps(before_radps: ArrayN, own_radps: NDArray[np.float64]) -> ArrayN:
+    """Return how far the joints' speeds within a tick leave the range of the tick's two ends.
+
+    Args:
+        before_radps: The speeds (n,) at the tick's start.
+        own_radps: The speeds (m, n) after each sub-step.
+
+    Returns:
+        The speeds (n,) beyond that range; 0 if the motors reached their set points in the first sub-step.
+
+    """
+    if not np.abs(own_radps - own_radps[-1]).max() > UNNOTICED_RADPS:
+        return np.zeros(len(before_radps))
+    ends_radps = np.stack([before_radps, own_radps[-1]])
+    above = own_radps.max(axis=0) - ends_radps.max(axis=0)
+    below = ends_radps.min(axis=0) - own_radps.min(axis=0)
+    return np.asarray(np.maximum(np.maximum(above, below), 0.0))
 
 
 def refuse_rendered(scenario: Scenario, world: str) -> None:

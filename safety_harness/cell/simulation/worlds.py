@@ -7,7 +7,7 @@ names and labels from files. The import of this module loads no engine.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
@@ -51,9 +51,9 @@ class WorldEntry:
     libraries of every run. ``renders`` states that it makes camera images, pixel by pixel. ``substeps``
     states that it divides a control period by ``physics_substeps``. ``batch`` states that it is a
     ``BatchWorld``, so that many episodes run together. The recorded speed of a joint may differ from the
-    motor's set point by ``known_to_radps``, because the engine's solver stops there. ``confirmed_by`` is the
-    world that must confirm a result or a bound before it counts for more than the model. It is None for a
-    reference.
+    motor's set point by ``known_to_radps``, because the engine's solver stops there. ``model_only`` states
+    that a reference must confirm a result or a bound before it counts for more than the model. ``reference``
+    states that the world confirms results, and that runs without a named world may be made in it.
     """
 
     name: str
@@ -64,15 +64,11 @@ class WorldEntry:
     batch: bool = False
     known_to_radps: float = 0.0
     libraries: tuple[str, ...] = ()
-    confirmed_by: WorldEntry | None = None
+    model_only: bool = False
+    reference: bool = False
 
     def __str__(self) -> str:
         return f"the {self.label} world" if self.model_only else self.label
-
-    @property
-    def model_only(self) -> bool:
-        """Whether the world's results hold only for its model, and not for the reference."""
-        return self.confirmed_by is not None
 
     @property
     def is_installed(self) -> bool:
@@ -160,24 +156,37 @@ PYBULLET = WorldEntry(
     substeps=True,
     known_to_radps=2e-5,
     libraries=("pybullet",),
+    reference=True,
 )
-"""The reference world: rigid bodies, motors with torque limits, a renderer.
+"""The first reference world: rigid bodies, motors with torque limits, a renderer.
 
 Its motors miss their speeds by at most 4e-9 rad/s with UR arms, iiwa and xArm, by 1.2e-5 rad/s with a Panda.
 """
-KINEMATIC = WorldEntry(
-    name="kinematic", label="kinematic", load=_kinematic, batch=True, confirmed_by=PYBULLET
-)
+KINEMATIC = WorldEntry(name="kinematic", label="kinematic", load=_kinematic, batch=True, model_only=True)
 """Joints follow the drives exactly; many episodes run together."""
 REFERENCE = PYBULLET
-DEFAULTED = f"no world is named, and {REFERENCE} is not installed: runs are made in {KINEMATIC}"
 WORLDS = Registry([PYBULLET, KINEMATIC], ExtensionPoint.WORLDS, WorldEntry)
 """Every world. A new one is a class and an entry here, or an entry point of a package."""
 
 
+def references() -> Iterator[WorldEntry]:
+    """Yield the installed worlds that confirm results, the first choice first; each is loaded."""
+    return (world for world in WORLDS if world.reference and world.is_installed)
+
+
 def default_world() -> WorldEntry:
-    """Return the world for runs that do not name a world: the reference, or else the kinematic world."""
-    return REFERENCE if REFERENCE.is_installed else KINEMATIC
+    """Return the world for runs that do not name a world: the first reference, or else the kinematic one."""
+    return next(references(), KINEMATIC)
+
+
+def confirming_world() -> WorldEntry:
+    """Return the first installed reference; the first of all if none is installed."""
+    return next(references(), REFERENCE)
+
+
+def defaulted(world: WorldEntry | str) -> str:
+    """Return a sentence that names the world of runs that do not name one."""
+    return f"no world is named, and {REFERENCE} is not installed: runs are made in {world}"
 
 
 def has_rendered_images(scenario: Scenario) -> bool:

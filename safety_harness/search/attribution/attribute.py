@@ -21,7 +21,7 @@ from safety_harness.admission.trial import run_all
 from safety_harness.base.exceptions import described
 from safety_harness.base.renamed import renamed_parameters
 from safety_harness.cell.simulation.simulate import INTERRUPTED
-from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry
+from safety_harness.cell.simulation.worlds import KINEMATIC, WorldEntry, confirming_world
 from safety_harness.claims.properties.answered import NOT_MODELLED
 from safety_harness.claims.properties.base import Evaluation, Property, Unit
 from safety_harness.scenario.model import Claim, Verdict
@@ -218,21 +218,23 @@ def attribute(
 
 
 def confirmed(
-    admitted: Admitted, attribution: Attribution, *, run: Runner = ReplaysInWorld(PYBULLET)
+    admitted: Admitted, attribution: Attribution, *, run: Runner | None = None
 ) -> tuple[Replay, ...]:
     """Repeat the violating run in another world, first unchanged, then with the blamed change.
 
     Args:
         admitted: The admitted scenario.
         attribution: The violation and its cause.
-        run: The runner of the other world; the default is PyBullet.
+        run: The runner of the other world; None: that of the first installed reference.
 
     Returns:
         One replay, or two if a change is blamed.
 
     """
     scenario = replace(admitted.scenario, claims=(attribution.claim,))
-    trials = _Trials(replace(Altered.from_admitted(admitted), scenario=scenario), run)
+    trials = _Trials(
+        replace(Altered.from_admitted(admitted), scenario=scenario), run or ReplaysInWorld(confirming_world())
+    )
     judge = _ClaimTrials(trials, 0, property_of(attribution.claim, scenario))
     return judge.replays([(), *(replay.changes for replay in attribution.helping[:1])])
 

@@ -193,10 +193,11 @@ class Ending:
 
     def _world(self) -> list[str]:
         """Say that the session named no world, and which world was used in its place."""
-        from safety_harness.cell.simulation.worlds import DEFAULTED, KINEMATIC
+        from safety_harness.cell.simulation.worlds import REFERENCE, WORLDS, defaulted
 
         made_in = {j.run.world for j in self._judgements()}
-        return [DEFAULTED] if not current().world and str(KINEMATIC) in made_in else []
+        named = [str(world) for world in WORLDS if world is not REFERENCE and str(world) in made_in]
+        return [] if current().world else [defaulted(world) for world in named]
 
     def _fallback(self) -> str:
         """Return in how many decisions the fallback acted, and in how many runs without an answer."""

@@ -80,8 +80,9 @@ def report_in(folder: Path) -> Path:
         "searcher": "default",
         "interrupted": False,
         "distinct": ["one"],
-        "confirmed_in_pybullet": 1,
-        "not_confirmed_in_pybullet": [],
+        "confirmed_in": ["PyBullet"],
+        "confirmed": 1,
+        "not_confirmed": [],
         "counterexamples": ["one.yaml"],
     }
     (found / "findings.json").write_text(json.dumps(findings))

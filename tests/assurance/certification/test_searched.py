@@ -43,8 +43,9 @@ FOUND: dict[str, Any] = {
     "searcher": "default",
     "interrupted": False,
     "distinct": [{}, {}],
-    "confirmed_in_pybullet": 1,
-    "not_confirmed_in_pybullet": [{}],
+    "confirmed_in": ["PyBullet"],
+    "confirmed": 1,
+    "not_confirmed": [{}],
     "counterexamples": ["a.yaml"],
 }
 

@@ -73,7 +73,7 @@ def test_an_effort_that_is_zero_or_missing_is_unknown(effort: str, tmp_path: Pat
     arm = arm_in(tmp_path, second(LIMIT.replace(' effort="50"', effort)))
     np.testing.assert_array_equal(arm.effort_limit, [50.0, np.nan, 50.0])
     arm.require(Use.RUN)
-    for use in (Use.TORQUES, Use.PYBULLET):
+    for use in (Use.TORQUES, Use.PHYSICS):
         with pytest.raises(ArmFileError, match=r"the effort of j2, for .*joint torque limits"):
             arm.require(use)
 

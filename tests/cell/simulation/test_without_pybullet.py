@@ -13,7 +13,7 @@ from examples import VISIT, scenario
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import run_all, run_trial
 from safety_harness.base.exceptions import MissingPackageError
-from safety_harness.cell.simulation.worlds import DEFAULTED, KINEMATIC, PYBULLET
+from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET, defaulted
 from safety_harness.cli.attribute import attribute_runs
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
 from safety_harness.cli.fuzz import fuzz
@@ -39,9 +39,11 @@ NEEDS = "the world PyBullet: needs pybullet, which is not installed: "
 
 
 def without_pybullet(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.setitem(sys.modules, "pybullet", None)
-    for name in ("pybullet_world", "cell", "engine"):
-        monkeypatch.delitem(sys.modules, f"safety_harness.cell.simulation.{name}", raising=False)
+    for engine in ("pybullet", "mujoco"):
+        monkeypatch.setitem(sys.modules, engine, None)
+    for name in ("cell.simulation.pybullet_world", "cell.simulation.cell", "cell.simulation.engine"):
+        monkeypatch.delitem(sys.modules, f"safety_harness.{name}", raising=False)
+    monkeypatch.delitem(sys.modules, "safety_harness.extensions.worlds.mujoco_world", raising=False)
     provenance.cache_clear()  # which was told of PyBullet, and is to forget that there is none
     yield
     provenance.cache_clear()
@@ -64,7 +66,7 @@ def test_run_takes_the_world_that_does_without_and_says_so_in_one_line(
 ) -> None:
     assert run([file], tmp_path / "out") == AS_EXPECTED
     out, err = capsys.readouterr()
-    assert err.splitlines()[0] == DEFAULTED
+    assert err.splitlines()[0] == defaulted(KINEMATIC)
     assert "in the kinematic world, seed 0" in out.splitlines()[0]
     assert '"world": "kinematic"' in (tmp_path / "out" / "report.json").read_text()
     assert "--world kinematic" in (tmp_path / "out" / "report.html").read_text()
@@ -106,7 +108,7 @@ def test_fuzz_works_and_says_everywhere_that_nothing_was_confirmed(
     assert f"run {found} --world kinematic" in said
     assert NO_REFERENCE in found.read_text()
     assert "world kinematic" in found.read_text()
-    assert json.loads((out / "findings.json").read_text())["confirmed_in_pybullet"] == 0
+    assert json.loads((out / "findings.json").read_text())["confirmed"] == 0
     page = (out / "fuzz.html").read_text()
     assert NO_REFERENCE in page
     assert "confirmed in pybullet" not in page

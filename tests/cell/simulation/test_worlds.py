@@ -14,7 +14,7 @@ from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import run_all, run_trial
 from safety_harness.base.exceptions import InstallationError, TraceError
 from safety_harness.cell.simulation.kinematic_world import KinematicWorld
-from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET, WORLDS, WorldEntry, world_of_trace
+from safety_harness.cell.simulation.worlds import KINEMATIC, WORLDS, WorldEntry, world_of_trace
 from safety_harness.cli.scenario_commands import replay, run
 from safety_harness.search.trials import InWorld, Trials
 from safety_harness.trace.store import save_trace
@@ -43,7 +43,7 @@ class HalfWorld(KinematicWorld):
         return super().step(less)
 
 
-HALF = WorldEntry(name="half", label="half speed", load=lambda: HalfWorld, confirmed_by=PYBULLET)
+HALF = WorldEntry(name="half", label="half speed", load=lambda: HalfWorld, model_only=True)
 
 
 @pytest.fixture

@@ -40,6 +40,8 @@ FOLDER = "counterexamples"
 LARGEST_SCENARIO_BYTES = 2**20
 MOST = 40  # counterexamples with pictures, which take some 0.2 MB each, and 0.3 MB at most
 MOST_LINES = 14
+# keys of a findings.json before 0.2
+EARLIER = {"confirmed_in_pybullet": "confirmed", "not_confirmed_in_pybullet": "not_confirmed"}
 MOST_ASKED = 2  # the worst kinds of violation of each claim get an attribution
 FAULT = "whose fault: "
 TO = "A counterexample to:"
@@ -153,10 +155,16 @@ class Found(Struct, frozen=True, kw_only=True):
     searcher: str
     interrupted: bool
     distinct: list[Any]
-    confirmed: int = field(name="confirmed_in_pybullet")
-    unconfirmed: list[Any] = field(name="not_confirmed_in_pybullet")
+    confirmed: int
+    confirmed_in: tuple[str, ...]
+    unconfirmed: list[Any] = field(name="not_confirmed")
     counterexamples: tuple[str, ...]
     attribution: FaultsFound | None = None
+
+    @property
+    def confirmed_words(self) -> str:
+        """The worlds that confirm the counterexamples; empty if none is confirmed."""
+        return f" and confirmed in {' and '.join(self.confirmed_in)}" if self.confirmed else ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,7 +199,10 @@ def read_findings(path: Path) -> Found:
         InputError: ``fuzz`` did not write the file; the error names the field.
 
     """
-    findings = typed(read_json(path, "the findings of a search"), Found, path, further_fields=True)
+    stored = read_json(path, "the findings of a search")
+    if isinstance(stored, dict) and EARLIER.keys() <= stored.keys():
+        stored |= {now: stored[then] for then, now in EARLIER.items()} | {"confirmed_in": ["PyBullet"]}
+    findings = typed(stored, Found, path, further_fields=True)
     if not 0 <= findings.tried <= findings.budget:
         place, got = Place(file=path, field="tried"), str(findings.tried)
         raise InputError(place=place, expected=f"0 to {findings.budget} runs", got=got)
@@ -238,7 +249,7 @@ def search_evidence(searches: tuple[Searched, ...]) -> SearchSummary | None:
         f"{stratum}: {search.tried} runs of the searcher {search.searcher} in the kinematic world, "
         f"{count_words(len(search.distinct), 'group of violations', 'groups of violations')}; "
         f"{count_words(len(search.counterexamples), 'was', 'were')} shrunk"
-        f"{' and confirmed in PyBullet' * bool(search.confirmed)}, "
+        f"{search.confirmed_words}, "
         f"{count_words(len(search.unconfirmed), 'was', 'were')} not confirmed"
         for stratum, search in known
     ]

@@ -1,0 +1,1 @@
+"""Worlds that do not belong to the core."""

@@ -1,0 +1,108 @@
+"""Simulate the second reference world: the arm in MuJoCo, with its meshes, motors and physics."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.geometry.arrays import ArrayN
+from safety_harness.cell.controller.records import CommandRecords
+from safety_harness.cell.perception.detector import BoundingBoxDetector
+from safety_harness.cell.robot.description import ArmModel
+from safety_harness.cell.simulation.steps import drive_on, move_on
+from safety_harness.cell.simulation.world import AMPLE, RecordedWorld, overshoot_radps
+from safety_harness.extensions.worlds.mujoco_model import PREFIX, cell_model
+from safety_harness.scenario.model import Scenario
+
+
+class MujocoWorld(RecordedWorld):
+    """A scenario in MuJoCo, to be used once, as a context manager.
+
+    The set points of the drives go to motors with the torque limits of the URDF.  A control period has
+    ``physics_substeps`` steps of the engine.  Hands do not push anything; a contact is only a distance below
+    zero.
+    """
+
+    name = "mujoco"
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        arm: ArmModel,
+        joint_position_rad: ArrayN,
+        *,
+        detector: BoundingBoxDetector | None = None,
+    ) -> None:
+        super().__init__(scenario, arm, joint_position_rad)
+        clock = scenario.settings.clock
+        self._substeps = clock.physics_substeps
+        self._step_s = clock.control_period_s / clock.physics_substeps
+        self._model = cell_model(arm, scenario.settings.cell.table_height_m, self._step_s)
+        self._data = mujoco.MjData(self._model)
+        joints = [self._model.joint(PREFIX + name) for name in arm.joint_names]
+        self._positions = np.array([joint.qposadr[0] for joint in joints])
+        self._speeds = np.array([joint.dofadr[0] for joint in joints])
+        # The model of the drives limits their torque, so the engine must not limit it a second time.
+        more = AMPLE if self.records.drives[0]["limited"] else 1.0
+        self._limit_nm = np.full(self._model.nv, np.inf)  # a joint that is not the arm's is held
+        self._limit_nm[self._speeds] = more * arm.effort_limit
+        self._wanted_radps = np.zeros(self._model.nv)
+        self._commanded_radps = np.empty(len(joints))
+        self._data.qpos[self._positions] = joint_position_rad
+        self.overshoot_radps = np.zeros((scenario.ticks + 1, len(joints)))  # for the trace
+        self.saturated = self.contacts = 0  # sub-steps
+
+    def step(self, command: NDArray[np.void]) -> bool:
+        """Run drives, motors and physics for a control period, in which the hands move too.
+
+        ``command`` (1,) COMMAND. Return True while the brakes act.
+        """
+        r, data = self.records, self._data
+        braking = drive_on(
+            r.drives, r.arm, r.truth, r.clock, r.faults, CommandRecords(command), self._commanded_radps
+        )
+        self._wanted_radps[self._speeds] = self._commanded_radps
+        before_radps, tick = r.truth[0]["joint_velocity_radps"].copy(), int(r.clock[0]["tick"])
+        own_radps = np.empty((self._substeps, len(self._speeds)))
+        for k in range(self._substeps):
+            mujoco.mj_step1(self._model, data)
+            data.qfrc_applied[:] = self._torques_nm()
+            mujoco.mj_step2(self._model, data)
+            own_radps[k] = data.qvel[self._speeds]
+            self.contacts += bool(data.ncon)
+        move_on(*r[1:9], data.qpos[self._positions], own_radps[-1])
+        self.overshoot_radps[tick] = overshoot_radps(before_radps, own_radps)
+        return braking
+
+    def _torques_nm(self) -> NDArray[np.float64]:
+        """Return the motors' torques (nv,), which give the joints the wanted speeds after this sub-step.
+
+        A motor that would need more than its limit gives its limit; the other motors then need the torques
+        that hold their own speeds against its motion.  Forces of contacts and of joint stops are those of the
+        sub-step before; otherwise, an arm that presses on the table would turn its other joints away.
+        """
+        data = self._data
+        need_radps2 = (self._wanted_radps - data.qvel) / self._step_s
+        other_nm = data.qfrc_bias - data.qfrc_passive - data.qfrc_constraint
+        torques_nm = np.empty(self._model.nv)
+        mujoco.mj_mulM(self._model, data, torques_nm, need_radps2)
+        torques_nm += other_nm
+        at_limit = np.abs(torques_nm) > self._limit_nm
+        if not at_limit.any():
+            return torques_nm
+        self.saturated += 1
+        mass = np.empty((self._model.nv, self._model.nv))
+        mujoco.mj_fullM(self._model, data, mass)
+        while True:
+            free = ~at_limit
+            given_nm = np.sign(torques_nm[at_limit]) * self._limit_nm[at_limit]
+            moved_nm = given_nm - other_nm[at_limit] - mass[np.ix_(at_limit, free)] @ need_radps2[free]
+            radps2 = need_radps2.copy()
+            radps2[at_limit] = np.linalg.solve(mass[np.ix_(at_limit, at_limit)], moved_nm)
+            torques_nm = np.where(free, mass @ radps2 + other_nm, torques_nm)
+            torques_nm[at_limit] = given_nm
+            more = free & (np.abs(torques_nm) > self._limit_nm)
+            if not more.any():
+                return torques_nm
+            at_limit |= more
