@@ -18,7 +18,7 @@ from safety_harness.admission.avoiders import executes
 from safety_harness.admission.trial import run_trial
 from safety_harness.base.exceptions import described
 from safety_harness.base.pool import pool
-from safety_harness.cell.simulation.worlds import WorldEntry, worlds_by_label
+from safety_harness.cell.simulation.worlds import WorldEntry, world_named
 from safety_harness.scenario.model import Scenario
 from safety_harness.trace.trace import Trace
 
@@ -89,7 +89,7 @@ def run_processes(
 def _run(scenario: Scenario, label: str) -> Trace | Exception:
     """Return the trace of a run, or its exception in a form that can be pickled."""
     try:
-        return run_trial(admit(scenario), world=worlds_by_label()[label])
+        return run_trial(admit(scenario), world=world_named(label, "world"))
     except Exception as error:
         try:
             pickle.loads(pickle.dumps(error))

@@ -44,6 +44,8 @@ class ExtensionPoint(StrEnum):
     """``Callable[[CatalogueEntry], Iterator[tuple[str, str]]]``: lines that ``claims`` adds to an entry's."""
     WORLDS = "safety_harness.worlds"
     """``cell.simulation.worlds.WorldEntry``: a world for ``--world`` and ``world:``."""
+    WORLD_PROGRAMS = "safety_harness.world_programs"
+    """``Callable[[str], cell.simulation.worlds.WorldEntry]``: makes the world for ``NAME:REST``."""
     SCENARIO_KEYS = "safety_harness.scenario_keys"
     """``scenario.codec.Key``: a key of scenario files, below ``extensions:``, by its name."""
     CONTROLLERS = "safety_harness.controllers"

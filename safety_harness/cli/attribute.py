@@ -27,7 +27,7 @@ def attribute_runs(
         paths: scenario files, traces or folders.
         avoider: the program that made the traces; None if they need no program.
         out: the folder to write into; None writes no files.
-        confirm: whether each attribution is repeated in PyBullet.
+        confirm: whether each attribution is repeated in a reference world.
         safety_filter: the safety filter that made the traces; None if they have none.
 
     """

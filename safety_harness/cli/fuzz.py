@@ -48,7 +48,7 @@ def fuzz(
 ) -> int:
     """Search a space for violations; write each as a scenario file.
 
-    The command confirms (in PyBullet) a violation of each claim. It shrinks and
+    The command repeats a violation of each claim in every reference. It shrinks and
     attributes one example for each cause, as far as that simulates no more than
     the search did; --explain all explains the rest. It writes a page, fuzz.html,
     with a map of the coverage, coverage.svg.

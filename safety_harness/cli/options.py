@@ -68,15 +68,17 @@ OfWorld = Annotated[
     str | None,
     Option(
         "--world",
-        help="PyBullet, the reference, or kinematic, which needs no PyBullet; without it PyBullet, if it is "
-        "installed.",
+        help="PyBullet, MuJoCo or kinematic; without it the first of these that is installed.",
         metavar="WORLD",
     ),
 ]
 OfSpace = Annotated[Path, Argument(help="A scenario space: a file, or shipped:NAME.", metavar="SPACE")]
 Confirm = Annotated[
     bool,
-    Option("--confirm", help="Repeat each violation, and the run with the changed cause, in PyBullet too."),
+    Option(
+        "--confirm",
+        help="Repeat each violation, and the run with the changed cause, in a reference too.",
+    ),
 ]
 AttributionOut = Annotated[
     Path | None, Option(help="Folder for attribution.json and attribution.svg; none for neither.")

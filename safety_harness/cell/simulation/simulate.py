@@ -21,13 +21,13 @@ from safety_harness.cell.controller.filtered import FilteredController
 from safety_harness.cell.robot.robots import arm_model, urdf_sha256_of
 from safety_harness.cell.simulation.driving import Lane, drive
 from safety_harness.cell.simulation.kinematic_world import KinematicWorld
-from safety_harness.cell.simulation.world import BatchWorld, ShowsImages, World
+from safety_harness.cell.simulation.world import BatchWorld, NamesProgram, ShowsImages, World
 from safety_harness.cell.simulation.worlds import libraries_of
 from safety_harness.scenario.model import Scenario
 from safety_harness.trace.provenance import provenance
 from safety_harness.trace.records import Limit, tick_dtype
 from safety_harness.trace.system import Component, SystemUnderTest, system_of
-from safety_harness.trace.trace import Trace, no_interventions, not_filtered, not_recorded
+from safety_harness.trace.trace import Provenance, Trace, no_interventions, not_filtered, not_recorded
 from safety_harness.trace.unmeasured import knowing
 
 INTERRUPTED = "interrupted by the user"
@@ -126,7 +126,7 @@ def trace_of(
         ticks=ticks,
         decisions=decisions,
         decision_latency_s=controller.decision_latencies_s[: len(decisions)],
-        provenance=provenance(world.name, libraries_of(world.name, scenario)),
+        provenance=_provenance(world, scenario),
         ended=ended,
         system=_system(scenario, controller),
         interventions=_interventions(scenario, controller)[: len(ticks)].copy(),
@@ -135,6 +135,12 @@ def trace_of(
         answer_s=np.array(getattr(controller, "answers_took_s", ())),
     )
     return knowing(trace, controller.known) if isinstance(controller, WITH_USER) else trace
+
+
+def _provenance(world: World, scenario: Scenario) -> Provenance:
+    """Return the provenance of a run; a world with a program of the user's adds it."""
+    made = provenance(world.name, libraries_of(world.name, scenario))
+    return world.provenance_of(made) if isinstance(world, NamesProgram) else made
 
 
 def _interventions(scenario: Scenario, controller: Controller) -> NDArray[np.void]:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from safety_harness.cell.perception.detector import BoundingBoxDetector
     from safety_harness.cell.robot.description import ArmModel
     from safety_harness.scenario.model import Scenario
+    from safety_harness.trace.trace import Provenance
 
 UNNOTICED_RADPS = 1e-7  # motors miss their speeds by less than this unless they are saturated
 AMPLE = 1e4  # this factor on torque limits is enough for several times the mass within a sub-step
@@ -76,6 +77,14 @@ class ShowsImages(Protocol):
 
     def image(self) -> Image:
         """Return the last rendered image that the object's camera has delivered."""
+
+
+@runtime_checkable
+class NamesProgram(Protocol):
+    """A world that is a program of the user's."""
+
+    def provenance_of(self, made: Provenance) -> Provenance:
+        """Return the provenance of a run with the program's name, version and hash."""
 
 
 def overshoot_radps(before_radps: ArrayN, own_radps: NDArray[np.float64]) -> ArrayN:

@@ -10,10 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
+from functools import lru_cache
+from types import FunctionType
 from typing import TYPE_CHECKING, Protocol
 
 from safety_harness.base.exceptions import InstallationError, Place, ScenarioError, TraceError, near_miss
-from safety_harness.base.extension_points import ExtensionPoint, Registry
+from safety_harness.base.extension_points import ExtensionPoint, Registry, loaded
 from safety_harness.base.extras import IMAGES
 from safety_harness.base.extras import PYBULLET as PYBULLET_EXTRA
 from safety_harness.base.geometry.arrays import ArrayN
@@ -201,7 +203,8 @@ def libraries_of(world: str, scenario: Scenario) -> tuple[str, ...]:
 
     ``world`` is the world's name in traces.
     """
-    engines = next((entry.libraries for entry in WORLDS if entry.name == world), ())
+    entry = entry_of(world)
+    engines = () if entry is None else entry.libraries
     images = ("cv2",) if has_rendered_images(scenario) else ()
     in_onnx = names_onnx(scenario.under_test) or scenario.controller == LEARNED
     return (*engines, *images, *(("onnxruntime",) if in_onnx else ()))
@@ -218,11 +221,29 @@ def world_named(label: str, option: str) -> WorldEntry:
     for known, world in worlds.items():
         if known.casefold() == label.casefold():
             return world
+    if (made := world_of_reference(label)) is not None:
+        return made
     raise ScenarioError.of_option(option, " or ".join(worlds), label, near_miss(label, worlds))
 
 
+@lru_cache
+def world_of_reference(reference: str) -> WorldEntry | None:
+    """Return the world of a reference such as ``exec:./my_cell``; None if its prefix is no such name."""
+    prefix, colon, _ = reference.partition(":")
+    makers = dict(loaded(ExtensionPoint.WORLD_PROGRAMS, FunctionType)) if colon else {}
+    return makers[prefix](reference) if prefix in makers else None
+
+
+def entry_of(name: str) -> WorldEntry | None:
+    """Return the world with the ``name`` that a trace states; None for an unknown name."""
+    return next((world for world in WORLDS if world.name == name), None) or world_of_reference(name)
+
+
 def world_of_trace(name: str) -> WorldEntry:
-    """Return the world with the ``name`` that a trace states; raise ``TraceError`` for an unknown name."""
+    """Return the world with the ``name`` that a trace states, to repeat the run.
+
+    Raise ``TraceError`` for an unknown name, and for a program, which the trace must not choose.
+    """
     for world in WORLDS:
         if world.name == name:
             return world

@@ -14,7 +14,7 @@ from safety_harness.cell.robot.capsules import Arm
 from safety_harness.cell.robot.closest_approach import MAX_BISECTIONS, closest_approach_between
 from safety_harness.cell.robot.distance import hand_distance, place_capsules
 from safety_harness.cell.robot.kinematics import forward_kinematics
-from safety_harness.cell.simulation.worlds import WORLDS
+from safety_harness.cell.simulation.worlds import entry_of
 from safety_harness.claims.signals.bounds import apart_between
 from safety_harness.claims.signals.occasions import no_hand
 from safety_harness.claims.signals.true_motion import (
@@ -253,7 +253,7 @@ def joint_bend_m(trace: Trace, arm: Arm | None = None) -> NDArray[np.float64]:
     Motors that saturate exceed both values. If an engine did not record by how much, the result is infinite
     unless each joint's mean speed is that of the second tick.
     """
-    true, world = true_motion(trace), trace.provenance.world
+    true, world = true_motion(trace), entry_of(trace.provenance.world)
     period_s, known = trace.scenario.settings.clock.control_period_s, trace.known
     return _joint_bends(
         arm or arm_of(trace),
@@ -262,7 +262,7 @@ def joint_bend_m(trace: Trace, arm: Arm | None = None) -> NDArray[np.float64]:
         trace.overshoot_radps,
         period_s,
         not (known.column("joint_position_rad").limited or known.column("joint_velocity_radps").limited),
-        any(world_entry.substeps for world_entry in WORLDS if world_entry.name == world),
+        world is not None and world.substeps,
     )
 
 

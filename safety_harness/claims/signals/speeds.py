@@ -11,7 +11,7 @@ from safety_harness.base.compiled import compiled
 from safety_harness.cell.robot.capsules import Arm
 from safety_harness.cell.robot.distance import place_capsules
 from safety_harness.cell.robot.kinematics import fastest_end, forward_kinematics, link_twists, tcp_velocity
-from safety_harness.cell.simulation.worlds import WORLDS
+from safety_harness.cell.simulation.worlds import entry_of
 from safety_harness.claims.signals.bounds import speed_cells
 from safety_harness.claims.signals.occasions import MOVES
 from safety_harness.claims.signals.signal import Sampled, Values
@@ -59,7 +59,8 @@ def turned_rad(trace: Trace) -> Values:
 
 def known_to_radps(trace: Trace) -> float:
     """Return by how much [rad/s] recorded and commanded joint speeds may differ in the trace's world."""
-    return sum(world.known_to_radps for world in WORLDS if world.name == trace.provenance.world)
+    world = entry_of(trace.provenance.world)
+    return 0.0 if world is None else world.known_to_radps
 
 
 def tcp_speeds_mps(trace: Trace) -> tuple[Values, Values]:

@@ -56,7 +56,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--safety-world",
         metavar="WORLD",
-        help="PyBullet, the reference, or kinematic, which needs no PyBullet; in place of safety_world.",
+        help="PyBullet, MuJoCo or kinematic; in place of safety_world.",
     )
     group.addoption("--safety-profile", choices=names, help=f"Scenarios that a test draws: {sizes}.")
     group.addoption(

@@ -80,15 +80,32 @@ def of_program(reference: str, place: Place) -> Making:
     Each controller has its own process or connection. Raise ``InadmissibleError`` at ``place`` if there is no
     such program or address. This function itself does not execute the program.
     """
-    made = partial(_made, json_wire(said_by_program.decode, MOST_BYTES), Hello, BEGIN_S, place)
+    subject, start = peer_of(reference, place, BEGIN_S, LOGGER)
+    return partial(
+        _made, json_wire(said_by_program.decode, MOST_BYTES), Hello, BEGIN_S, place, subject, start
+    )
+
+
+def peer_of(
+    reference: str, place: Place, within_s: float, logger: logging.Logger
+) -> tuple[str, Callable[[], Peer]]:
+    """Return the name of a program for messages, and the function that starts or reaches it.
+
+    Args:
+        reference: An ``exec:``, ``tcp:`` or ``unix:`` reference.
+        place: The place of an error.
+        within_s: The limit of time for a connection.
+        logger: The logger of the program's output.
+
+    Raises:
+        InadmissibleError: There is no such program or address.
+
+    """
     if not reference.startswith(EXEC):
-        start = partial(Socket, _address(reference, place), BEGIN_S)
-        return lambda: made(f"who listens at {reference}", start)
+        return f"who listens at {reference}", partial(Socket, _address(reference, place), within_s)
     command, executable = _command(reference, place)
     begin = partial(Process, command, by_stdio=True)
-    return lambda: made(
-        executable.name, process_of(executable, _contents(command, executable), LOGGER, begin)
-    )
+    return executable.name, process_of(executable, _contents(command, executable), logger, begin)
 
 
 def _made(

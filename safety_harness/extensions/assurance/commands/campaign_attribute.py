@@ -23,7 +23,7 @@ def attribute_ledger(path: Path, most: int, execute: bool, out: Path | None, con
         most: The number of violations to attribute for each claim, from the first violation on.
         execute: Allow the execution of programs that the campaign names.
         out: The folder for the attribution; None: no files.
-        confirm: Repeat the runs in PyBullet too.
+        confirm: Repeat the runs in a reference world too.
 
     """
     with Ledger.open(path) as ledger, plan_of(ledger) as plan:

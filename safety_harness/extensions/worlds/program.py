@@ -1,0 +1,306 @@
+"""Run scenarios in the user's own simulator, a program that exchanges lines with the harness.
+
+The harness computes hands, sensors, drives and claims.  The simulator moves the arm.  Each of its states is
+checked; a state that cannot be true ends the run with an error, and never becomes evidence.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from functools import lru_cache, partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.exceptions import InadmissibleError, Place, SimulationError, printable
+from safety_harness.base.geometry.arrays import ArrayN
+from safety_harness.cell.controller.out_of_process.references import peer_of, program_sha256
+from safety_harness.cell.controller.records import CommandRecords
+from safety_harness.cell.perception.detector import BoundingBoxDetector
+from safety_harness.cell.robot.description import ArmModel, resolved_urdf
+from safety_harness.cell.simulation.steps import drive_on, move_on
+from safety_harness.cell.simulation.world import RecordedWorld
+from safety_harness.cell.simulation.worlds import OpensWorld, WorldEntry
+from safety_harness.extensions.worlds.program_messages import (
+    MOST_BYTES,
+    PROTOCOL,
+    HandNow,
+    WorldHello,
+    WorldReset,
+    WorldState,
+    WorldStep,
+    WorldWelcome,
+    said_by_simulator,
+)
+from safety_harness.scenario.model import Scenario
+from safety_harness.seams.isolation.channel import GoneError, NonsenseError
+from safety_harness.seams.isolation.connection import Connection, RefusedError, json_wire, refusing
+from safety_harness.seams.isolation.messages import Failed, ProcessMessage
+from safety_harness.trace.trace import Provenance
+
+LOGGER = logging.getLogger("safety_harness.world")
+BEGIN_S = 60.0  # for the start and the first message
+SAME_RAD, SAME_S, SAME_M, SAME_DISTANCE_M = 1e-6, 1e-9, 1e-3, 5e-3
+ROUNDING_RADPS = 1e-7  # of a mean speed
+FASTEST = 1.5  # times the URDF's speed limit: no joint is faster, whatever the simulator's bound
+TRIED_TICKS = 25  # of an episode that is run twice, to see whether the simulator repeats itself
+
+
+def program_world(reference: str) -> WorldEntry:
+    """Return the world of a reference ``exec:COMMAND``, ``tcp:HOST:PORT`` or ``unix:PATH``.
+
+    Nothing is executed before a scenario is opened.
+    """
+    return WorldEntry(
+        name=reference,
+        label=reference,
+        load=partial(_opener, reference),
+        substeps=True,
+        model_only=True,
+    )
+
+
+def _opener(reference: str) -> OpensWorld:
+    """Return the function that opens a scenario in a simulator."""
+    return partial(ProgramWorld, reference)
+
+
+class Simulator:
+    """A user's simulator, in a process that serves one episode after another."""
+
+    def __init__(self, reference: str) -> None:
+        """Start the program; raise ``InadmissibleError`` if it is no simulator."""
+        self.place = Place(field="world")
+        self.reference, self.sha256 = reference, program_sha256(reference, self.place)
+        wire = json_wire(said_by_simulator.decode, MOST_BYTES)
+        subject, start = peer_of(reference, self.place, BEGIN_S, LOGGER)
+        self._connection = Connection(start, wire)
+        with refusing(InadmissibleError, f"{subject} to be a simulator", BEGIN_S, self.place):
+            self._said = self._begun()
+        self.repeats: bool | None = None  # None until it is tried
+
+    def _begun(self) -> WorldWelcome:
+        welcome = self._connection.introduce(WorldHello(), WorldWelcome, BEGIN_S)
+        if welcome.protocol != PROTOCOL:
+            hint = "safety-harness docs reference/world-protocol"
+            raise RefusedError(f"the protocol {PROTOCOL!r}", repr(welcome.protocol), hint)
+        return welcome
+
+    def acceleration_radps2(self, joints: int) -> NDArray[np.float64]:
+        """Return the bound of each joint's acceleration (joints,); infinite where the program states none."""
+        stated = self._said.joint_acceleration_radps2
+        bound = np.full(joints, np.inf) if stated is None else np.array(stated, dtype=np.float64)
+        if bound.shape != (joints,) or not (bound >= 0.0).all():
+            got = printable(str(stated))
+            raise SimulationError(
+                f"joint_acceleration_radps2: expected {joints} numbers of at least 0; got {got}"
+            )
+        return bound
+
+    def call(self, message: ProcessMessage, limit_s: float) -> WorldState:
+        """Return the simulator's state after a message; raise ``SimulationError`` without a valid one.
+
+        After an error, the next ``reset`` starts the program anew.
+        """
+        try:
+            if isinstance(message, WorldReset) and not self._connection.quiet:
+                self._connection.end()
+                if self._begun() != self._said:
+                    raise NonsenseError("after a restart it describes itself differently")
+            self._connection.say(message, limit_s)
+            answer = self._connection.hear(limit_s)
+            if isinstance(answer, WorldState):
+                return answer
+            if not isinstance(answer, Failed):
+                raise NonsenseError(f"expected a state; it said {answer.__struct_config__.tag}")
+            reason = answer.why
+        except BaseException as error:  # a later message might belong to this question
+            self._connection.end()
+            if isinstance(error, GoneError) and error.hung:
+                reason = f"it gave no state within {limit_s:g} s of wall time"
+            elif isinstance(error, GoneError | RefusedError | ValueError):
+                reason = str(error)
+            else:
+                raise  # Ctrl-C, or a mistake of ours
+        raise SimulationError(f"{self.reference}: {printable(reason)}")
+
+    def end(self) -> None:
+        """End the process after an episode that failed, so that the next one begins anew."""
+        self._connection.end()
+
+    @property
+    def words(self) -> str:
+        """Name, version, hash and repeatability, for provenance."""
+        of_file = f"sha256 {self.sha256}" if self.sha256 else "of unknown content"
+        repeats = {True: "repeats itself", False: "does not repeat itself", None: "not tried twice"}
+        return printable(f"{self._said.name} {self._said.version}, {of_file}, {repeats[self.repeats]}")
+
+
+simulator = lru_cache(Simulator)  # one for each process and reference
+
+
+class ProgramWorld(RecordedWorld):
+    """A scenario in the user's simulator, to be used once, as a context manager."""
+
+    def __init__(
+        self,
+        reference: str,
+        scenario: Scenario,
+        arm: ArmModel,
+        joint_position_rad: ArrayN,
+        *,
+        detector: BoundingBoxDetector | None = None,
+    ) -> None:
+        self.name = reference
+        super().__init__(scenario, arm, joint_position_rad)
+        clock = scenario.settings.clock
+        self._period_s, self._limit_s = clock.control_period_s, clock.wall_limit_s
+        self._simulator = simulator(reference)
+        joints = len(arm.joint_names)
+        self._commanded_radps = np.empty(joints)
+        self._bound_radps2 = self._simulator.acceleration_radps2(joints)
+        self._fastest_radps = FASTEST * arm.velocity_limit_radps
+        # With bounded acceleration, a speed leaves the range of both ends of a tick by at most a dt / 2.
+        beyond_radps = 0.5 * self._bound_radps2 * self._period_s
+        self.overshoot_radps = np.tile(beyond_radps, (scenario.ticks + 1, 1))
+        self.overshoot_radps[-1] = 0.0  # no tick follows
+        reset = WorldReset(
+            urdf=resolved_urdf(arm, visuals=False),
+            transform_seat=arm.transform_seat,
+            table_height_m=scenario.settings.cell.table_height_m,
+            joint_names=arm.joint_names,
+            joint_position_rad=joint_position_rad,
+            period_s=self._period_s,
+            seed=str(scenario.seed),
+        )
+        if self._simulator.repeats is None:
+            self._simulator.repeats = self._tried(reset) == self._tried(reset)
+        self._begin(reset)
+
+    def provenance_of(self, made: Provenance) -> Provenance:
+        """Return the provenance of a run with the simulator's name, version and hash."""
+        return replace(made, libraries=(*made.libraries, ("simulator", self._simulator.words)))
+
+    def step(self, command: NDArray[np.void]) -> bool:
+        """Run the drives, and let the simulator move the arm by a control period.
+
+        ``command`` (1,) COMMAND. Return True while the brakes act.
+        """
+        r = self.records
+        braking = drive_on(
+            r.drives, r.arm, r.truth, r.clock, r.faults, CommandRecords(command), self._commanded_radps
+        )
+        tick = int(r.clock[0]["tick"])
+        hands = [
+            HandNow(bool(hand["present"]), hand["position_in_base_m"], hand["elbow_in_base_m"])
+            for hand in r.hands
+        ]
+        state = self._simulator.call(
+            WorldStep(tick, self._commanded_radps, bool(braking), hands), self._limit_s
+        )
+        position_rad, velocity_radps = self._numbers(state, tick + 1)
+        self.overshoot_radps[tick] = self._overshoot_radps(state, position_rad, velocity_radps)
+        move_on(*r[1:9], position_rad, velocity_radps)
+        self._compare(state)
+        return braking
+
+    def _begin(self, reset: WorldReset) -> None:
+        """Begin an episode, whose first state must be the arm at rest at its start."""
+        state = self._simulator.call(reset, self._limit_s)
+        position_rad, velocity_radps = self._numbers(state, 0)
+        start_rad = self.records.truth[0]["joint_position_rad"]
+        if not np.abs(position_rad - start_rad).max() <= SAME_RAD:
+            self._refuse(f"its joints begin at {position_rad.tolist()} rad; expected {start_rad.tolist()}")
+        if not np.abs(velocity_radps).max() <= SAME_RAD:
+            self._refuse(f"its joints begin with {velocity_radps.tolist()} rad/s; expected rest")
+        self._compare(state)
+
+    def _tried(self, reset: WorldReset) -> bytes:
+        """Return the states of a short episode with slow set points, as bytes."""
+        self._begin(reset)
+        seen = bytearray()
+        for tick in range(TRIED_TICKS):
+            radps = np.full(len(self._commanded_radps), 0.01 * (tick % 5))
+            state = self._simulator.call(WorldStep(tick, radps, False, []), self._limit_s)
+            seen += np.array([*state.joint_position_rad, *state.joint_velocity_radps]).tobytes()
+        return bytes(seen)
+
+    def _overshoot_radps(
+        self, state: WorldState, position_rad: NDArray[np.float64], velocity_radps: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return how far the speeds within the tick may leave the range of both its ends; check the motion.
+
+        The mean speed lies in the stated range of speeds, if there is one.  Otherwise a joint whose
+        acceleration is at most a moves in dt by the mean of both speeds times dt, to within a dt^2 / 4.
+        """
+        truth, dt, tick = self.records.truth[0], self._period_s, state.tick
+        ends_radps = np.stack([truth["joint_velocity_radps"], velocity_radps])
+        mean_radps = (position_rad - truth["joint_position_rad"]) / dt
+        middle_radps, beyond_radps = ends_radps.mean(axis=0), 0.5 * self._bound_radps2 * dt
+        least_radps, most_radps = middle_radps - 0.5 * beyond_radps, middle_radps + 0.5 * beyond_radps
+        if state.joint_velocity_range_radps is not None:
+            least_radps, most_radps = self._range(state.joint_velocity_range_radps, velocity_radps, tick)
+            above, below = most_radps - ends_radps.max(axis=0), ends_radps.min(axis=0) - least_radps
+            beyond_radps = np.maximum(np.maximum(above, below), 0.0)
+        wrong = ~((least_radps - ROUNDING_RADPS <= mean_radps) & (mean_radps <= most_radps + ROUNDING_RADPS))
+        if (joint := _first(wrong)) is not None:
+            self._refuse(
+                f"joint {joint + 1} moves at {mean_radps[joint]:.6g} rad/s on average before tick {tick}; "
+                f"its speeds allow {least_radps[joint]:.6g} to {most_radps[joint]:.6g} rad/s"
+            )
+        fastest_radps = np.maximum(np.abs(velocity_radps), np.abs(mean_radps))
+        if (joint := _first(fastest_radps > self._fastest_radps)) is not None:
+            self._refuse(
+                f"joint {joint + 1} moves at {fastest_radps[joint]:.3g} rad/s before tick {tick}; its limit "
+                f"is {self._fastest_radps[joint] / FASTEST:.3g} rad/s"
+            )
+        return beyond_radps
+
+    def _range(
+        self, stated: tuple[list[float], list[float]], velocity_radps: NDArray[np.float64], tick: int
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the least and the largest speeds in a state, which include the speed at its end."""
+        least_radps, most_radps = (np.array(speeds, dtype=np.float64) for speeds in stated)
+        if least_radps.shape != velocity_radps.shape or most_radps.shape != velocity_radps.shape:
+            self._refuse(f"joint_velocity_range_radps: expected two rows of {len(velocity_radps)} numbers")
+        if not ((least_radps <= velocity_radps) & (velocity_radps <= most_radps)).all():
+            self._refuse(f"joint_velocity_range_radps does not include joint_velocity_radps in tick {tick}")
+        return least_radps, most_radps
+
+    def _numbers(self, state: WorldState, tick: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return joint positions and speeds of a state, which must be of ``tick`` and have a number each."""
+        if state.tick != tick or not abs(state.time_s - tick * self._period_s) <= SAME_S:
+            self._refuse(f"its state is of tick {state.tick} at {state.time_s:g} s; expected tick {tick}")
+        arrays = []
+        for name in ("joint_position_rad", "joint_velocity_radps"):
+            array = np.array(getattr(state, name), dtype=np.float64)
+            if array.shape != self._commanded_radps.shape or not np.isfinite(array).all():
+                expected = f"{len(self._commanded_radps)} finite numbers"
+                self._refuse(f"{name}: expected {expected}; got {array.tolist()}")
+            arrays.append(array)
+        return arrays[0], arrays[1]
+
+    def _compare(self, state: WorldState) -> None:
+        """Compare the simulator's TCP and hand distance with the harness's own, if it states them."""
+        truth = self.records.truth[0]
+        if state.tcp_position_in_base_m is not None:
+            own_m = truth["transform_tcp_to_base"][:3, 3]
+            their_m = np.array(state.tcp_position_in_base_m, dtype=np.float64)
+            if their_m.shape != (3,) or not np.abs(their_m - own_m).max() <= SAME_M:
+                frames = "its base frame, tool or joint order differs"
+                self._refuse(f"its TCP is at {their_m.tolist()} m; expected {own_m.tolist()}: {frames}")
+        if state.hand_distance_m is not None:
+            own = float(truth["hand_distance_m"].min(initial=np.inf))
+            if not abs(state.hand_distance_m - own) <= SAME_DISTANCE_M:
+                self._refuse(f"its least hand distance is {state.hand_distance_m:g} m; expected {own:g} m")
+
+    def _refuse(self, reason: str) -> None:
+        """End the simulator's episode; raise ``SimulationError`` with a reason."""
+        self._simulator.end()
+        raise SimulationError(f"{self.name}: {printable(reason)}")
+
+
+def _first(wrong: NDArray[np.bool_]) -> int | None:
+    """Return the index of the first True; None if there is none."""
+    return int(np.argmax(wrong)) if wrong.any() else None
