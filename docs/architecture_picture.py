@@ -22,6 +22,7 @@ CORE = {
     "cli": "parse, call, print",
 }
 WINGS = {  # the left edge of each, its row, and what it is for
+    "worlds": (20, 7, "more simulators"),
     "gym": (640, 8, "learning environments"),
     "arms": (40, 12, "fit and show arms"),
     "lab": (330, 12, "train, score, prove"),

@@ -67,6 +67,10 @@ TOY_WORLD = replace(KINEMATIC, name="toy", label="toy")
 FALSE_REFERENCE = replace(KINEMATIC, name="mine", label="PyBullet", model_only=False)
 
 
+def cell(reference):
+    return replace(KINEMATIC, name=reference, label=reference)
+
+
 def note(entry):
     yield "toy", "a note of the toy"
 
@@ -160,6 +164,9 @@ toy = toy:HEIGHT
 toy = toy:TOY_WORLD
 pybullet = toy:TOY_WORLD
 zz = toy:FALSE_REFERENCE
+[safety_harness.world_programs]
+toy = toy:cell
+exec = toy:fails
 [safety_harness.warming]
 toy = toy:note
 [safety_harness.scenario_keys]

@@ -6,7 +6,6 @@ import re
 import shlex
 import sys
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -23,6 +22,7 @@ commands = Typer()
 FOLDER = Path(__file__).parent / "templates"
 SUFFIXES = (".yaml", ".yml")
 AVOIDER, CONTROLLER, FILTER = "{}_avoider.py", "{}_controller.py", "{}_filter.py"
+SIMULATOR = "{}_simulator.py"
 SUITE, RECORDING = "test_{}.py", "{}_recording.csv"
 
 
@@ -53,6 +53,9 @@ TEMPLATES = {
     ),
     "filter": Template(
         "a safety filter of your own: a Python file and a scenario", (("filter.py.txt", FILTER),)
+    ),
+    "simulator": Template(
+        "a simulator of your own: a Python program and a scenario", (("simulator.py.txt", SIMULATOR),)
     ),
 }
 
@@ -159,6 +162,7 @@ def _texts(name: str, template: Template, scenario: Path) -> dict[Path, str]:
         "@CONTROLLER@": CONTROLLER.format(stem),
         "@FILTER@": FILTER.format(stem),
         "@TEST@": SUITE.format(stem),
+        "@SIMULATOR@": SIMULATOR.format(stem),
     }
     pattern = re.compile("|".join(replacements))
     return {
@@ -180,8 +184,7 @@ def _write(texts: dict[Path, str]) -> None:
 def _next(template: str, scenario: Path) -> list[str]:
     """Return the commands that the user should type next."""
     file, stem = shlex.quote(str(scenario)), re.sub(r"\W+", "_", scenario.stem)
-    here = find_spec("pybullet") is not None
-    run = f"safety-harness run {file}{'' if here else ' --world kinematic'}"
+    run = f"safety-harness run {file}"
     lines = [run, f"safety-harness show {file}"]
     if template == "space":
         return [
@@ -191,10 +194,12 @@ def _next(template: str, scenario: Path) -> list[str]:
         ]
     if template == "policy":
         suite, avoider = (shlex.quote(str(scenario.with_name(f.format(stem)))) for f in (SUITE, AVOIDER))
-        world = "" if here else " --safety-world kinematic"
-        lines += [f"pytest {suite}{world}", f"safety-harness evaluate {avoider}:Away"]
+        lines += [f"pytest {suite}", f"safety-harness evaluate {avoider}:Away"]
     elif template == "controller":
         lines.append(f"{run} --controller 'stop when near'")
+    elif template == "simulator":
+        program = shlex.quote(str(scenario.with_name(SIMULATOR.format(stem))))
+        lines.append(f"{run} --world {shlex.quote(f'exec:python3 {program}')}")
     else:
         lines.append(f"{run} --avoider 'opposite pose'")
     return [*lines, "safety-harness claims"]

@@ -182,8 +182,8 @@ def physics_of(run: Trace | Exception, model: Trace | Exception) -> tuple[bool, 
         return True, "physics had a part: the kinematic world's run ends otherwise"
     apart_rad = np.abs(run.ticks["joint_position_rad"] - model.ticks["joint_position_rad"]).max(initial=0.0)
     had_part = not apart_rad <= SAME_RAD
-    words = "a part: joints up to" if had_part else "no part: joints at most"
-    return had_part, f"physics had {words} {apart_rad:.1g} rad from those of the kinematic world"
+    part = "a part: joints up to" if had_part else "no part: joints at most"
+    return had_part, f"physics had {part} {apart_rad:.1g} rad from those of the kinematic world"
 
 
 def in_one_world(

@@ -473,9 +473,9 @@ class SearchSession:
     def _with_physics(self, case: Counterexample) -> Counterexample:
         """Count a confirmed case, and return it with a line that says whether physics had a part in it."""
         (model,) = in_kinematic([admit(case.shrunk.scenario)])
-        had_part, words = physics_of(case.run, model)
+        had_part, sentence = physics_of(case.run, model)
         self.confirmed, self.physical = self.confirmed + 1, self.physical + had_part
-        line = f"repeated in {self._confirming_words}; {words}"
+        line = f"repeated in {self._confirming_words}; {sentence}"
         return replace(case, circumstances=(*case.circumstances, line))
 
     def _keep_unconfirmed(

@@ -152,10 +152,10 @@ def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] |
     parts["trace.json"] = json.dumps(header, indent=1, sort_keys=True).encode()
     with (
         replacing(path) as unfinished,
-        zipfile.ZipFile(unfinished, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        zipfile.ZipFile(unfinished, "w", zipfile.ZIP_DEFLATED, compresslevel=2) as archive,
     ):
         for name in sorted(parts):
-            archive.writestr(zipfile.ZipInfo(name), parts[name], zipfile.ZIP_DEFLATED)
+            archive.writestr(zipfile.ZipInfo(name), parts[name], zipfile.ZIP_DEFLATED, 2)
 
 
 def _fields_alone(records: NDArray[np.void]) -> NDArray[np.void]:

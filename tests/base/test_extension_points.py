@@ -96,6 +96,9 @@ print(*(name for name, _ in trace.provenance.libraries if "entry point" in name)
 print([one.name for one in WORLDS])
 from safety_harness.cell.simulation.worlds import worlds_by_label
 print("the reference is", worlds_by_label()["PyBullet"].name)
+from safety_harness.cell.simulation.worlds import world_named
+print("its program is", world_named("toy:two wheels", "--world").name)
+print("ours is", world_named("exec:true", "--world").load.func.__module__)
 explain_claims(["toy", "distance"])
 """
     (toy / "short.yaml").write_text(SHORT)
@@ -107,6 +110,8 @@ explain_claims(["toy", "distance"])
     assert "['pybullet', 'kinematic', 'mujoco', 'toy']" in done.stdout
     assert "a note of the toy" in done.stdout
     assert "the reference is pybullet" in done.stdout
+    assert "its program is toy:two wheels" in done.stdout
+    assert "ours is safety_harness.extensions.worlds.program" in done.stdout
     assert "skipped safety_harness.worlds zz: another part has its name" in done.stderr
     assert "another part has its name" in done.stderr
 

@@ -162,15 +162,3 @@ def test_what_to_type_next_is_said_with_names_quoted(tmp_path: Path, capsys: Cap
     assert "my_cell_avoider.py" in told.out
     assert f"safety-harness run '{tmp_path}/my cell.yaml'" in told.err
     assert f"pytest {tmp_path}/test_my_cell.py" in told.err
-
-
-def test_what_to_type_next_runs_where_pybullet_is_missing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
-) -> None:
-    monkeypatch.setattr("safety_harness.cli.new.find_spec", lambda _: None)
-    assert new("policy", tmp_path / "mine.yaml") == AS_EXPECTED
-    told = capsys.readouterr().err
-    assert f"safety-harness run {tmp_path}/mine.yaml --world kinematic\n" in told
-    assert f"pytest {tmp_path}/test_mine.py --safety-world kinematic\n" in told
-    assert new("reaching", tmp_path / "other.yaml") == AS_EXPECTED
-    assert "other.yaml --world kinematic --avoider 'opposite pose'" in capsys.readouterr().err

@@ -130,7 +130,7 @@ class Simulator:
         self._connection.end()
 
     @property
-    def words(self) -> str:
+    def described(self) -> str:
         """Name, version, hash and repeatability, for provenance."""
         of_file = f"sha256 {self.sha256}" if self.sha256 else "of unknown content"
         repeats = {True: "repeats itself", False: "does not repeat itself", None: "not tried twice"}
@@ -180,7 +180,7 @@ class ProgramWorld(RecordedWorld):
 
     def provenance_of(self, made: Provenance) -> Provenance:
         """Return the provenance of a run with the simulator's name, version and hash."""
-        return replace(made, libraries=(*made.libraries, ("simulator", self._simulator.words)))
+        return replace(made, libraries=(*made.libraries, ("simulator", self._simulator.described)))
 
     def step(self, command: NDArray[np.void]) -> bool:
         """Run the drives, and let the simulator move the arm by a control period.
@@ -243,8 +243,8 @@ class ProgramWorld(RecordedWorld):
             least_radps, most_radps = self._range(state.joint_velocity_range_radps, velocity_radps, tick)
             above, below = most_radps - ends_radps.max(axis=0), ends_radps.min(axis=0) - least_radps
             beyond_radps = np.maximum(np.maximum(above, below), 0.0)
-        wrong = ~((least_radps - ROUNDING_RADPS <= mean_radps) & (mean_radps <= most_radps + ROUNDING_RADPS))
-        if (joint := _first(wrong)) is not None:
+        impossible = ~((least_radps - ROUNDING_RADPS <= mean_radps) & (mean_radps <= most_radps + ROUNDING_RADPS))
+        if (joint := _first(impossible)) is not None:
             self._refuse(
                 f"joint {joint + 1} moves at {mean_radps[joint]:.6g} rad/s on average before tick {tick}; "
                 f"its speeds allow {least_radps[joint]:.6g} to {most_radps[joint]:.6g} rad/s"
@@ -301,6 +301,6 @@ class ProgramWorld(RecordedWorld):
         raise SimulationError(f"{self.name}: {printable(reason)}")
 
 
-def _first(wrong: NDArray[np.bool_]) -> int | None:
+def _first(flags: NDArray[np.bool_]) -> int | None:
     """Return the index of the first True; None if there is none."""
-    return int(np.argmax(wrong)) if wrong.any() else None
+    return int(np.argmax(flags)) if flags.any() else None
