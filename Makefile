@@ -109,7 +109,7 @@ lock := uv==0.13.9
 LONG := agreement arms big_pages busy campaign convergence crashes dataset decision environments \
 	evaluate_faults formulas hands interval_coverage isolation kinematic kinematics_of_arms logs loop \
 	monitor overhead parts proof proof_decisions public_urdfs rare_in_kinematic search_power seam shield \
-	shipped_controllers soak start_up student_in_spaces training whose_fault
+	shipped_controllers soak start_up student_in_spaces training whose_fault worlds
 
 # What differs in results from the revision BASE, kept in reports/bits; at a landing with WHOLE=--whole
 bits: $(VENV)/benchmarks

@@ -90,7 +90,7 @@ def test_every_script_is_run_by_bench_all_or_writes_a_page() -> None:
     asked_by_others = {"results", "overhead_of_others", "bits", "bits_items", "stale"}
     writers = {"gallery", "model_cards", "mutants", "sample_reports", "smallest_breaks"}
     of_hours = {"million", "fair_trial"}  # and told where to write, or what to measure
-    of_other_software = {"drives", "accessibility"}  # MuJoCo and axe-core, which nothing else here needs
+    of_other_software = {"drives", "accessibility"}  # MuJoCo's viewer and axe-core, which nothing else needs
     others = asked_by_others | writers | of_hours | of_other_software
     assert sorted(listed.replace("\\", " ").split()) == sorted(scripts - others)
 

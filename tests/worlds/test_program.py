@@ -47,7 +47,7 @@ def command(file: Path) -> str:
     return f"exec:{sys.executable} {file}"
 
 
-def visit(duration_s: float = 0.4) -> Admitted:
+def visit(duration_s: float = 1.2) -> Admitted:
     return admit(replace(scenario(VISIT, duration_s=duration_s), claims=CLAIMS))
 
 
@@ -98,9 +98,9 @@ SPEEDS = 'speeds_radps = message["joint_velocity_radps"]'
 HELLO = 'say(say="hello", protocol="safety-harness world 1", name="kinematic cell", version="1")'
 BOUND = HELLO.replace('version="1"', 'version="1", joint_acceleration_radps2=[40.0] * 6')
 START = 'period_s, joints_rad = message["period_s"], message["joint_position_rad"]'
-LATER = 'if message["tick"] == 30: '
+LATER = 'if message["tick"] == 120: '
 WRONG = {
-    "another tick": ("tick=tick,", "tick=tick + (tick == 30),", "its state is of tick 31"),
+    "another tick": ("tick=tick,", "tick=tick + (tick == 120),", "its state is of tick 121"),
     "another time": ("time_s=tick * period_s", "time_s=tick * 0.01", "expected tick 1"),
     "degrees": (
         START,
@@ -149,7 +149,7 @@ WRONG = {
     "no answer": (MOVE, f"{MOVE}\n        {LATER}__import__('time').sleep(60)", "it gave no state within"),
     "a speed above the limit": (
         SPEEDS,
-        f"{SPEEDS}\n        if message['tick'] == 30: speeds_radps = [9.0] * 6",
+        f"{SPEEDS}\n        if message['tick'] == 120: speeds_radps = [9.0] * 6",
         "its limit is",
     ),
 }
@@ -167,6 +167,26 @@ def test_a_wrong_simulator_is_a_run_error_with_its_reason(way: str, tmp_path: Pa
         run_trial(run, world=changed(tmp_path, (old, new)))
 
 
+FOLLOWED = {
+    "joints in another order after the start": 'speeds_radps = message["joint_velocity_radps"][::-1]',
+    "another sign": 'speeds_radps = [-speed for speed in message["joint_velocity_radps"]]',
+    "degrees a second": 'speeds_radps = [speed / 57.3 for speed in message["joint_velocity_radps"]]',
+    "no motion": "speeds_radps = [0.0] * 6",
+}
+
+
+@pytest.mark.parametrize("way", FOLLOWED)
+def test_a_simulator_whose_joints_do_not_follow_slow_set_points_is_refused(way: str, tmp_path: Path) -> None:
+    with pytest.raises(SimulationError, match="while its set point asks for"):
+        run_trial(visit(), world=changed(tmp_path, (SPEEDS, FOLLOWED[way])))
+
+
+def test_a_joint_that_accelerates_beyond_its_bound_is_noticed(tmp_path: Path) -> None:
+    world = changed(tmp_path, (RANGE, ""), (HELLO, BOUND.replace("40.0", "0.1")))
+    with pytest.raises(SimulationError, match="beyond the bound that it states"):
+        run_trial(visit(), world=world)
+
+
 def test_a_false_speed_is_noticed_by_the_stated_acceleration(tmp_path: Path) -> None:
     lies = (
         (RANGE, ""),
@@ -178,7 +198,7 @@ def test_a_false_speed_is_noticed_by_the_stated_acceleration(tmp_path: Path) -> 
 
 
 def test_a_run_goes_on_after_one_that_failed(tmp_path: Path) -> None:
-    world = changed(tmp_path, (MOVE, f"{MOVE}\n        if message['tick'] == 30: sys.exit(3)"))
+    world = changed(tmp_path, (MOVE, f"{MOVE}\n        if message['tick'] == 120: sys.exit(3)"))
     short = visit(0.2)  # 25 ticks
     failed, fine = run_all([visit(), short], world)
     assert isinstance(failed, SimulationError)

@@ -44,7 +44,8 @@ BEGIN_S = 60.0  # for the start and the first message
 SAME_RAD, SAME_S, SAME_M, SAME_DISTANCE_M = 1e-6, 1e-9, 1e-3, 5e-3
 ROUNDING_RADPS = 1e-7  # of a mean speed
 FASTEST = 1.5  # times the URDF's speed limit: no joint is faster, whatever the simulator's bound
-TRIED_TICKS = 25  # of an episode that is run twice, to see whether the simulator repeats itself
+TRIED_S = 0.8  # of an episode that is run twice, with slow set points
+FOLLOWS = (0.55, 1.8)  # what a joint turns then, as a share of what its set point asks for
 
 
 def program_world(reference: str) -> WorldEntry:
@@ -217,13 +218,26 @@ class ProgramWorld(RecordedWorld):
         self._compare(state)
 
     def _tried(self, reset: WorldReset) -> bytes:
-        """Return the states of a short episode with slow set points, as bytes."""
+        """Return the states of a short episode as bytes, in which each joint follows its own slow set point.
+
+        Any two joints have set points of other signs or of twice the size, so that swapped joints, another
+        sign and another unit show.
+        """
         self._begin(reset)
-        seen = bytearray()
-        for tick in range(TRIED_TICKS):
-            radps = np.full(len(self._commanded_radps), 0.01 * (tick % 5))
+        joints, ticks = len(self._commanded_radps), round(TRIED_S / self._period_s)
+        radps = np.array([0.01 * (-1) ** k * 2.0 ** (k // 2) for k in range(joints)])
+        seen, position_rad = bytearray(), np.array(reset.joint_position_rad)
+        for tick in range(ticks):
             state = self._simulator.call(WorldStep(tick, radps, False, []), self._limit_s)
-            seen += np.array([*state.joint_position_rad, *state.joint_velocity_radps]).tobytes()
+            position_rad, velocity_radps = self._numbers(state, tick + 1)
+            seen += position_rad.tobytes() + velocity_radps.tobytes()
+        turned_rad, asked_rad = position_rad - reset.joint_position_rad, radps * ticks * self._period_s
+        share = turned_rad / asked_rad
+        if (joint := _first(~((FOLLOWS[0] <= share) & (share <= FOLLOWS[1])))) is not None:
+            self._refuse(
+                f"joint {joint + 1} turns by {turned_rad[joint]:.3g} rad while its set point asks for "
+                f"{asked_rad[joint]:.3g} rad in {TRIED_S:g} s: is it another joint, sign or unit?"
+            )
         return bytes(seen)
 
     def _overshoot_radps(
@@ -243,7 +257,14 @@ class ProgramWorld(RecordedWorld):
             least_radps, most_radps = self._range(state.joint_velocity_range_radps, velocity_radps, tick)
             above, below = most_radps - ends_radps.max(axis=0), ends_radps.min(axis=0) - least_radps
             beyond_radps = np.maximum(np.maximum(above, below), 0.0)
-        impossible = ~((least_radps - ROUNDING_RADPS <= mean_radps) & (mean_radps <= most_radps + ROUNDING_RADPS))
+        jump_radps = np.abs(ends_radps[1] - ends_radps[0]) - 2.0 * beyond_radps
+        if (
+            state.joint_velocity_range_radps is None
+            and (joint := _first(jump_radps > ROUNDING_RADPS)) is not None
+        ):
+            self._refuse(f"joint {joint + 1} accelerates before tick {tick} beyond the bound that it states")
+        off_radps = np.maximum(least_radps - mean_radps, mean_radps - most_radps)
+        impossible = ~(off_radps <= ROUNDING_RADPS)
         if (joint := _first(impossible)) is not None:
             self._refuse(
                 f"joint {joint + 1} moves at {mean_radps[joint]:.6g} rad/s on average before tick {tick}; "
