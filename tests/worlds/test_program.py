@@ -16,6 +16,7 @@ from examples import VISIT, scenario
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.trial import judge, run_all, run_trial
 from safety_harness.base.exceptions import InadmissibleError, SimulationError, TraceError
+from safety_harness.cell.simulation import worlds
 from safety_harness.cell.simulation.worlds import (
     KINEMATIC,
     PYBULLET,
@@ -250,6 +251,8 @@ def test_a_stored_trace_is_judged_but_never_starts_the_program(tmp_path: Path) -
     save_trace(made, tmp_path / "run.trace")
     stored = load_trace(tmp_path / "run.trace")
     assert [e.margin for e in judge(stored)] == [e.margin for e in judge(made)]
+    assert world_of_trace(stored.provenance.world).name == stored.provenance.world  # the user has named it
+    worlds._named.clear()
     assert entry_of(stored.provenance.world) is not None
     with pytest.raises(TraceError):
         world_of_trace(stored.provenance.world)

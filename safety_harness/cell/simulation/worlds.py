@@ -221,13 +221,17 @@ def world_named(label: str, option: str) -> WorldEntry:
     for known, world in worlds.items():
         if known.casefold() == label.casefold():
             return world
-    if (made := world_of_reference(label)) is not None:
+    if (made := _of_reference(label)) is not None:
+        _named.add(label)
         return made
     raise ScenarioError.of_option(option, " or ".join(worlds), label, near_miss(label, worlds))
 
 
+_named: set[str] = set()  # references that the user named in this process
+
+
 @lru_cache
-def world_of_reference(reference: str) -> WorldEntry | None:
+def _of_reference(reference: str) -> WorldEntry | None:
     """Return the world of a reference such as ``exec:./my_cell``; None if its prefix is no such name."""
     prefix, colon, _ = reference.partition(":")
     makers = dict(loaded(ExtensionPoint.WORLD_PROGRAMS, FunctionType)) if colon else {}
@@ -236,17 +240,20 @@ def world_of_reference(reference: str) -> WorldEntry | None:
 
 def entry_of(name: str) -> WorldEntry | None:
     """Return the world with the ``name`` that a trace states; None for an unknown name."""
-    return next((world for world in WORLDS if world.name == name), None) or world_of_reference(name)
+    return next((world for world in WORLDS if world.name == name), None) or _of_reference(name)
 
 
 def world_of_trace(name: str) -> WorldEntry:
     """Return the world with the ``name`` that a trace states, to repeat the run.
 
-    Raise ``TraceError`` for an unknown name, and for a program, which the trace must not choose.
+    Raise ``TraceError`` for an unknown name, and for a program that the user has not named in this process,
+    because a trace must not choose what is executed.
     """
     for world in WORLDS:
         if world.name == name:
             return world
+    if name in _named and (made := _of_reference(name)) is not None:
+        return made
     names = " or ".join(world.name for world in WORLDS)
     raise TraceError(place=Place(field="world"), expected=f"a trace made in {names}", got=name)
 

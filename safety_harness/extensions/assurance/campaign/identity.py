@@ -20,7 +20,7 @@ from safety_harness.base.shipped.contents import PREFIX, contents, is_installed,
 from safety_harness.base.whole_file import writing
 from safety_harness.cell.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.cell.robot.robots import arm_model
-from safety_harness.cell.simulation.worlds import libraries_of, world_named
+from safety_harness.cell.simulation.worlds import libraries_of, worlds_by_label
 from safety_harness.scenario.compose import Library
 from safety_harness.scenario.files import read_bytes, resolved
 from safety_harness.scenario.model import EDITION
@@ -118,7 +118,7 @@ def edition_of(identity: Identity) -> int:
 
 def _libraries(spaces: Sequence[ScenarioSpace], world: str) -> tuple[str, ...]:
     """Return the distinct libraries that the runs use; a missing engine appears as not loaded."""
-    entry = world_named(world, "world")
+    entry = worlds_by_label()[world]
     used = (libraries_of(entry.name, space.simplest) for space in spaces)
     return tuple(dict.fromkeys(chain(entry.libraries * entry.is_installed, *used)))
 

@@ -26,7 +26,7 @@ from safety_harness.admission.repeatability import DrivenAgain, RepeatabilityRes
 from safety_harness.base.exceptions import RecordingError
 from safety_harness.base.renamed import renamed_parameters
 from safety_harness.base.whole_file import replacing, writing
-from safety_harness.cell.simulation.worlds import WorldEntry, world_named
+from safety_harness.cell.simulation.worlds import WorldEntry, worlds_by_label
 from safety_harness.claims.properties.base import Unit
 from safety_harness.extensions.assurance.campaign.identity import Identity, PlanFile
 from safety_harness.extensions.assurance.campaign.opening import (
@@ -639,7 +639,7 @@ def _declared(connection: sqlite3.Connection, path: Path) -> Declared:
             plan_file=path.parent / entries["plan file"],
             identity=Identity.from_json(entries["identity"]),
             seed=int(plan["seed"]),
-            world=world_named(str(plan["world"]), "world"),
+            world=worlds_by_label()[str(plan["world"])],
             confidence=float(plan["confidence"]),
             stop_early=bool(plan["stop early"]),
             strata=tuple(name for name, _ in strata),

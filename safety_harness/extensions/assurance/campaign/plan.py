@@ -21,7 +21,7 @@ from safety_harness.admission.claims import property_of
 from safety_harness.admission.driving import named_system
 from safety_harness.base.exceptions import InadmissibleError, InputError, Place, ScenarioError
 from safety_harness.base.shipped.contents import located
-from safety_harness.cell.simulation.worlds import REFERENCE, WorldEntry, world_of_reference, worlds_by_label
+from safety_harness.cell.simulation.worlds import REFERENCE, WorldEntry, worlds_by_label
 from safety_harness.claims.properties.base import Unit
 from safety_harness.extensions.assurance.campaign.hazards import PlannedHazards, read_hazards
 from safety_harness.extensions.assurance.campaign.identity import (
@@ -226,7 +226,7 @@ def read_plan(path: str | Path, edition: int = EDITION) -> Plan:
         raise stop.error(
             "no, or a target (violated in at most: ...) for every claim, which tells when to stop"
         )
-    world = _read(given, "world", _world, REFERENCE)
+    world = _read(given, "world", lambda field: field.one_of(worlds_by_label()), REFERENCE)
     files = files_of_plan(path, library, [stratum.space for stratum in strata], reference, risks.files)
     return Plan(
         title=title,
@@ -308,11 +308,6 @@ def _read(given: Fields | None, key: str, read: Callable[[Field], V], default: V
     """Return the value that ``read`` gives for ``key``, or ``default`` if the key is missing."""
     field = given.optional(key) if given else None
     return read(field) if field else default
-
-
-def _world(field: Field) -> WorldEntry:
-    """Return the world of a label or of a program's reference."""
-    return world_of_reference(field.scalar("a world")) or field.one_of(worlds_by_label())
 
 
 def _strata(listed: Field, folder: Path, library: Library) -> tuple[Stratum, ...]:
