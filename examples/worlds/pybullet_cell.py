@@ -18,6 +18,18 @@ def say(**message):
     print(json.dumps(message), flush=True)
 
 
+def quaternion(seat):
+    """Return x, y, z, w of a rotation: an eigenvector (Bar-Itzhack 2000)."""
+    (a, b, c), (d, e, f), (g, h, i) = seat[:3, :3]
+    rows = [
+        [a - e - i, 0, 0, 0],
+        [d + b, e - a - i, 0, 0],
+        [g + c, h + f, i - a - e, 0],
+        [h - f, c - g, d - b, a + e + i],
+    ]
+    return np.linalg.eigh(np.array(rows) / 3.0)[1][:, 3]
+
+
 class Cell:
     def __init__(self, asked):
         self.period_s = asked["period_s"]
@@ -28,8 +40,7 @@ class Cell:
         pybullet.setPhysicsEngineParameter(numSolverIterations=200, solverResidualThreshold=1e-18)
         with tempfile.NamedTemporaryFile("w", suffix=".urdf", delete=False) as file:
             file.write(asked["urdf"])
-        turn = pybullet.getQuaternionFromEuler((0.0, 0.0, float(np.arctan2(seat[1, 0], seat[0, 0]))))
-        self.robot = pybullet.loadURDF(file.name, seat[:3, 3], turn, useFixedBase=True)
+        self.robot = pybullet.loadURDF(file.name, seat[:3, 3], quaternion(seat), useFixedBase=True)
         os.unlink(file.name)
         info = [pybullet.getJointInfo(self.robot, k) for k in range(pybullet.getNumJoints(self.robot))]
         by_name = {joint[1].decode(): joint for joint in info}

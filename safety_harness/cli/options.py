@@ -68,7 +68,7 @@ OfWorld = Annotated[
     str | None,
     Option(
         "--world",
-        help="PyBullet, MuJoCo or kinematic; without it the first of these that is installed.",
+        help="PyBullet, MuJoCo, kinematic or exec:SIMULATOR; without it the first that is installed.",
         metavar="WORLD",
     ),
 ]

@@ -278,7 +278,7 @@ def evidence_of(session: SearchSession, attribution: SearchAttribution | None = 
         agreement=measured_agreement(),
         system=trials.system,
         provenance=provenance(
-            ", confirmed in ".join(world.name for world in (KINEMATIC, *session.references)),
+            ", repeated in ".join(world.name for world in (KINEMATIC, *session.references)),
             tuple(library for world in session.references for library in world.libraries),
         ),
         unconfirmable="" if session.references else NO_REFERENCE,

@@ -40,9 +40,11 @@ from safety_harness.seams.isolation.messages import Failed, ProcessMessage
 from safety_harness.trace.trace import Provenance
 
 LOGGER = logging.getLogger("safety_harness.world")
+PLACE = Place(field="world")
 BEGIN_S = 60.0  # for the start and the first message
-SAME_RAD, SAME_S, SAME_M, SAME_DISTANCE_M = 1e-6, 1e-9, 1e-3, 5e-3
-ROUNDING_RADPS = 1e-7  # of a mean speed
+SAME_RAD, SAME_S, SAME_M, SAME_DISTANCE_M = 1e-6, 1e-5, 1e-3, 5e-3
+ROUNDING_RAD = 1e-6  # of a position, with six decimals or as float32
+SPEEDS_TELL = 0.05  # the share of a joint's way that its speeds may leave unexplained in an episode
 FASTEST = 1.5  # times the URDF's speed limit: no joint is faster, whatever the simulator's bound
 TRIED_S = 0.8  # of an episode that is run twice, with slow set points
 FOLLOWS = (0.55, 1.8)  # what a joint turns then, as a share of what its set point asks for
@@ -64,6 +66,7 @@ def program_world(reference: str) -> WorldEntry:
 
 def _opener(reference: str) -> OpensWorld:
     """Return the function that opens a scenario in a simulator."""
+    peer_of(reference, PLACE, BEGIN_S, LOGGER)  # refuses a program that does not exist
     return partial(ProgramWorld, reference)
 
 
@@ -72,12 +75,11 @@ class Simulator:
 
     def __init__(self, reference: str) -> None:
         """Start the program; raise ``InadmissibleError`` if it is no simulator."""
-        self.place = Place(field="world")
-        self.reference, self.sha256 = reference, program_sha256(reference, self.place)
+        self.reference, self.sha256 = reference, program_sha256(reference, PLACE)
         wire = json_wire(said_by_simulator.decode, MOST_BYTES)
-        subject, start = peer_of(reference, self.place, BEGIN_S, LOGGER)
+        subject, start = peer_of(reference, PLACE, BEGIN_S, LOGGER)
         self._connection = Connection(start, wire)
-        with refusing(InadmissibleError, f"{subject} to be a simulator", BEGIN_S, self.place):
+        with refusing(InadmissibleError, f"{subject} to be a simulator", BEGIN_S, PLACE):
             self._said = self._begun()
         self.repeats: bool | None = None  # None until it is tried
 
@@ -91,11 +93,12 @@ class Simulator:
     def acceleration_radps2(self, joints: int) -> NDArray[np.float64]:
         """Return the bound of each joint's acceleration (joints,); infinite where the program states none."""
         stated = self._said.joint_acceleration_radps2
-        bound = np.full(joints, np.inf) if stated is None else np.array(stated, dtype=np.float64)
+        bound = np.array(np.inf if stated is None else stated, dtype=np.float64)
+        bound = np.full(joints, bound) if bound.ndim == 0 else bound
         if bound.shape != (joints,) or not (bound >= 0.0).all():
             got = printable(str(stated))
             raise SimulationError(
-                f"joint_acceleration_radps2: expected {joints} numbers of at least 0; got {got}"
+                f"joint_acceleration_radps2: expected {joints} numbers of at least 0, or one; got {got}"
             )
         return bound
 
@@ -134,8 +137,9 @@ class Simulator:
     def described(self) -> str:
         """Name, version, hash and repeatability, for provenance."""
         of_file = f"sha256 {self.sha256}" if self.sha256 else "of unknown content"
-        repeats = {True: "repeats itself", False: "does not repeat itself", None: "not tried twice"}
-        return printable(f"{self._said.name} {self._said.version}, {of_file}, {repeats[self.repeats]}")
+        bits = "the same bits" if self.repeats else "other bits"
+        twice = f"{bits} in a second episode of {TRIED_S:g} s"
+        return printable(f"{self._said.name} {self._said.version}, {of_file}, {twice}")
 
 
 simulator = lru_cache(Simulator)  # one for each process and reference
@@ -160,6 +164,7 @@ class ProgramWorld(RecordedWorld):
         self._simulator = simulator(reference)
         joints = len(arm.joint_names)
         self._commanded_radps = np.empty(joints)
+        self._way_rad, self._unexplained_rad, self._fastest_so_far_radps = np.zeros((3, joints))
         self._bound_radps2 = self._simulator.acceleration_radps2(joints)
         self._fastest_radps = FASTEST * arm.velocity_limit_radps
         # With bounded acceleration, a speed leaves the range of both ends of a tick by at most a dt / 2.
@@ -169,7 +174,11 @@ class ProgramWorld(RecordedWorld):
         reset = WorldReset(
             urdf=resolved_urdf(arm, visuals=False),
             transform_seat=arm.transform_seat,
+            last_link=arm.link_names[-1],
+            transform_tcp_to_last_link=arm.flange,
             table_height_m=scenario.settings.cell.table_height_m,
+            hand_radius_m=scenario.settings.hand.radius_m,
+            forearm_radius_m=scenario.settings.hand.forearm_radius_m,
             joint_names=arm.joint_names,
             joint_position_rad=joint_position_rad,
             period_s=self._period_s,
@@ -177,6 +186,8 @@ class ProgramWorld(RecordedWorld):
         )
         if self._simulator.repeats is None:
             self._simulator.repeats = self._tried(reset) == self._tried(reset)
+            if not self._simulator.repeats:
+                LOGGER.warning("%s does not repeat itself: no run of it can be made again", reference)
         self._begin(reset)
 
     def provenance_of(self, made: Provenance) -> Provenance:
@@ -257,14 +268,13 @@ class ProgramWorld(RecordedWorld):
             least_radps, most_radps = self._range(state.joint_velocity_range_radps, velocity_radps, tick)
             above, below = most_radps - ends_radps.max(axis=0), ends_radps.min(axis=0) - least_radps
             beyond_radps = np.maximum(np.maximum(above, below), 0.0)
-        jump_radps = np.abs(ends_radps[1] - ends_radps[0]) - 2.0 * beyond_radps
-        if (
-            state.joint_velocity_range_radps is None
-            and (joint := _first(jump_radps > ROUNDING_RADPS)) is not None
-        ):
+        rounding_radps = ROUNDING_RAD / dt
+        jump_radps = np.abs(ends_radps[1] - ends_radps[0]) - self._bound_radps2 * dt
+        unranged = state.joint_velocity_range_radps is None
+        if unranged and (joint := _first(jump_radps > rounding_radps)) is not None:
             self._refuse(f"joint {joint + 1} accelerates before tick {tick} beyond the bound that it states")
         off_radps = np.maximum(least_radps - mean_radps, mean_radps - most_radps)
-        impossible = ~(off_radps <= ROUNDING_RADPS)
+        impossible = ~(off_radps <= rounding_radps)
         if (joint := _first(impossible)) is not None:
             self._refuse(
                 f"joint {joint + 1} moves at {mean_radps[joint]:.6g} rad/s on average before tick {tick}; "
@@ -276,7 +286,27 @@ class ProgramWorld(RecordedWorld):
                 f"joint {joint + 1} moves at {fastest_radps[joint]:.3g} rad/s before tick {tick}; its limit "
                 f"is {self._fastest_radps[joint] / FASTEST:.3g} rad/s"
             )
-        return beyond_radps
+        self._compare_speeds(mean_radps, ends_radps, tick)
+        return np.asarray(np.maximum(beyond_radps, off_radps))
+
+    def _compare_speeds(
+        self, mean_radps: NDArray[np.float64], ends_radps: NDArray[np.float64], tick: int
+    ) -> None:
+        """Compare the way of each joint since the start with the sum of its speeds.
+
+        Speeds of another size or sign show here, also where no range or bound is stated.
+        """
+        dt = self._period_s
+        self._way_rad += np.abs(mean_radps) * dt
+        self._unexplained_rad += (mean_radps - ends_radps.mean(axis=0)) * dt
+        fastest_radps = np.maximum(np.abs(ends_radps).max(axis=0), np.abs(mean_radps))
+        self._fastest_so_far_radps = np.maximum(self._fastest_so_far_radps, fastest_radps)
+        most_rad = SPEEDS_TELL * self._way_rad + 2.0 * dt * self._fastest_so_far_radps + 1e-4
+        if (joint := _first(~(np.abs(self._unexplained_rad) <= most_rad))) is not None:
+            self._refuse(
+                f"joint {joint + 1} has moved {self._way_rad[joint]:.4g} rad by tick {tick}, and its speeds "
+                f"do not explain {abs(self._unexplained_rad[joint]):.4g} rad of it"
+            )
 
     def _range(
         self, stated: tuple[list[float], list[float]], velocity_radps: NDArray[np.float64], tick: int
@@ -292,7 +322,8 @@ class ProgramWorld(RecordedWorld):
     def _numbers(self, state: WorldState, tick: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return joint positions and speeds of a state, which must be of ``tick`` and have a number each."""
         if state.tick != tick or not abs(state.time_s - tick * self._period_s) <= SAME_S:
-            self._refuse(f"its state is of tick {state.tick} at {state.time_s:g} s; expected tick {tick}")
+            expected = f"tick {tick} at {tick * self._period_s:g} s"
+            self._refuse(f"its state is of tick {state.tick} at {state.time_s:g} s; expected {expected}")
         arrays = []
         for name in ("joint_position_rad", "joint_velocity_radps"):
             array = np.array(getattr(state, name), dtype=np.float64)

@@ -24,14 +24,14 @@ class WorldHello(ProcessMessage, tag="hello"):
 class WorldWelcome(ProcessMessage, tag="hello", forbid_unknown_fields=True):
     """A simulator's description of itself.
 
-    ``joint_acceleration_radps2`` bounds the acceleration of each joint.  Without it, and without a range of
-    speeds in each state, claims that look between ticks are inconclusive.
+    ``joint_acceleration_radps2`` bounds the acceleration of each joint, or of all.  Without it, and without a
+    range of speeds in each state, claims that look between ticks are inconclusive.
     """
 
     protocol: str
     name: str
     version: str
-    joint_acceleration_radps2: Numbers | None = None
+    joint_acceleration_radps2: Numbers | float | None = None
 
 
 class WorldReset(ProcessMessage, tag="reset"):
@@ -39,7 +39,11 @@ class WorldReset(ProcessMessage, tag="reset"):
 
     urdf: str
     transform_seat: Any  # (4, 4), from the URDF's base link to the base frame
+    last_link: str
+    transform_tcp_to_last_link: Any  # (4, 4)
     table_height_m: float
+    hand_radius_m: float
+    forearm_radius_m: float
     joint_names: tuple[str, ...]
     joint_position_rad: Any  # (n,)
     period_s: float
