@@ -111,7 +111,7 @@ def test_one_planted_cause_is_one_finding_in_the_terminal_and_on_the_page(
     assert "VIOLATED  1 cause explained; " in out
     assert f"one cause of 3 examples: {change}: {', '.join(mended)}" in err
     page = Path("out/fuzz.html").read_text()
-    assert "1 cause explained; each of the 3 examples below is confirmed" in page
+    assert "1 cause explained; each of the 3 examples below is repeated in " in page
     assert f"One cause of 3 examples: <strong>{change}</strong>; also of" in page
 
 

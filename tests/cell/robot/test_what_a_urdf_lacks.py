@@ -153,7 +153,7 @@ def test_an_inertia_that_no_body_has_is_asked_for_by_drives_and_pybullet_alone(
         drive_model(robot_in(tmp_path, change, "drives: {torque limit: 50 %}\n"))
     client = pybullet.connect(pybullet.DIRECT)
     try:
-        with pytest.raises(ArmFileError, match="inertia that a body can have, of b, for PyBullet"):
+        with pytest.raises(ArmFileError, match="inertia that a body can have, of b, for a world with motors"):
             load_robot(client, arm, visuals=False)
     finally:
         pybullet.disconnect(client)
