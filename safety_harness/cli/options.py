@@ -72,6 +72,12 @@ OfWorld = Annotated[
         metavar="WORLD",
     ),
 ]
+OfWorldAgain = Annotated[
+    str | None,
+    Option(
+        "--world", help="The simulator of the trace, named again because it is executed.", metavar="WORLD"
+    ),
+]
 OfSpace = Annotated[Path, Argument(help="A scenario space: a file, or shipped:NAME.", metavar="SPACE")]
 Confirm = Annotated[
     bool,

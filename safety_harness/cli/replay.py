@@ -10,7 +10,7 @@ from safety_harness.admission.avoiders import with_program
 from safety_harness.admission.repeatability import MOST, Repeatability
 from safety_harness.admission.trial import run_trial
 from safety_harness.base.exceptions import InputError, Place, TraceError
-from safety_harness.cell.simulation.worlds import KINEMATIC, engine_elsewhere, world_of_trace
+from safety_harness.cell.simulation.worlds import KINEMATIC, engine_elsewhere, world_named, world_of_trace
 from safety_harness.claims.properties.tally import short_basis
 from safety_harness.cli.console import (
     AS_EXPECTED,
@@ -40,22 +40,27 @@ from safety_harness.trace.trace import Provenance, Trace
 from safety_harness.trace.unmeasured import refuse_not_simulated
 
 
-def replay(path: Path, avoider: str | None = None, safety_filter: str | None = None) -> int:
+def replay(
+    path: Path, avoider: str | None = None, safety_filter: str | None = None, world: str | None = None
+) -> int:
     """Repeat a recorded run; print "identical" or the first step that differs; return the exit code.
 
     The function also asks a second avoider the same questions, which reveals an avoider with a memory.
-    ``avoider`` and ``safety_filter`` name the user's programs again.  A stranger may have made the trace, so
-    the trace itself must not choose what is executed.
+    ``avoider``, ``safety_filter`` and ``world`` name the user's programs again.  A stranger may have made the
+    trace, so the trace itself must not choose what is executed.
     """
     stored = load_trace(path)
     refuse_not_simulated(stored, path)
-    world = world_of_trace(stored.provenance.world)
+    made_in = stored.provenance.world
+    if world is not None and world_named(world, "--world").name != made_in:
+        raise TraceError(place=Place(file=path, field="world"), expected=f"--world {made_in}", got=world)
+    entry = world_of_trace(made_in)
     admitted = admit(with_program(stored.scenario, avoider, path, safety_filter=safety_filter))
     _refuse_other(stored, admitted, path)
     _refuse_other_filter(stored, admitted, path)
     with watching_runs([stored.scenario], TERMINAL) as progress:
         progress.begin(0)
-        fresh = run_trial(admitted, world=world, recorded=stored, on_tick=progress.tick)
+        fresh = run_trial(admitted, world=entry, recorded=stored, on_tick=progress.tick)
     if not fresh.complete and stored.complete:
         say(f"{fresh.ended}, after {len(fresh.ticks)} of {len(stored.ticks)} ticks")
         return INTERRUPTED

@@ -19,6 +19,7 @@ from safety_harness.cli.options import (
     OfReference,
     OfSpace,
     OfWorld,
+    OfWorldAgain,
     Out,
     Seed,
     Verbose,
@@ -197,12 +198,13 @@ def replay(
     avoider: OfAvoider = None,
     controller: OfController = None,
     safety_filter: OfFilter = None,
+    world: OfWorldAgain = None,
 ) -> int:
     """Repeat a recorded run bit by bit.
 
     The answer is "identical", or the first step that differs.
-    If a program of yours made the trace, name that program by --avoider, --controller or --safety-filter,
-    because the replay executes it. A controller or filter with another hash is refused.
+    If a program of yours made the trace, name that program by --avoider, --controller, --safety-filter or
+    --world, because the replay executes it. A controller or filter with another hash is refused.
 
     Exit code 0: identical.
     Exit code 1: it differs.
@@ -212,7 +214,7 @@ def replay(
     from safety_harness.admission.avoiders import one_of
     from safety_harness.cli.replay import replay as replay_trace
 
-    return replay_trace(trace, one_of(avoider, controller), safety_filter)
+    return replay_trace(trace, one_of(avoider, controller), safety_filter, world)
 
 
 @command(commands)

@@ -25,7 +25,8 @@ from safety_harness.cell.simulation.worlds import (
     world_named,
     world_of_trace,
 )
-from safety_harness.cli.console import BAD_INPUT
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT
+from safety_harness.cli.replay import replay
 from safety_harness.cli.scenario_commands import run as run_files
 from safety_harness.extensions.worlds.program import simulator
 from safety_harness.scenario.model import Claim, Verdict
@@ -284,7 +285,12 @@ def test_a_stored_trace_is_judged_but_never_starts_the_program(tmp_path: Path) -
     stored = load_trace(tmp_path / "run.trace")
     assert [e.margin for e in judge(stored)] == [e.margin for e in judge(made)]
     assert world_of_trace(stored.provenance.world).name == stored.provenance.world  # the user has named it
+    assert replay(tmp_path / "run.trace", world=command(KINEMATIC_CELL)) == AS_EXPECTED
     worlds._named.clear()
+    with pytest.raises(TraceError):
+        replay(tmp_path / "run.trace")
+    with pytest.raises(TraceError, match="--world exec:"):
+        replay(tmp_path / "run.trace", world="kinematic")
     assert entry_of(stored.provenance.world) is not None
     with pytest.raises(TraceError):
         world_of_trace(stored.provenance.world)
