@@ -40,10 +40,13 @@ def named() -> list[Extra]:
     return [value for value in vars(extras).values() if isinstance(value, Extra)]
 
 
-def test_the_base_is_ten_packages_and_pybullet_where_it_has_a_wheel() -> None:
+def test_the_base_is_ten_packages_and_the_reference_world_that_has_a_wheel() -> None:
     conditional = [one for one in BASE if one.marker is not None]
     assert len(BASE) - len(conditional) == 10
-    assert [(one.name, str(one.marker)) for one in conditional] == [("pybullet", 'python_version < "3.12"')]
+    assert [(one.name, str(one.marker)) for one in conditional] == [
+        ("pybullet", 'python_version < "3.12"'),
+        ("mujoco-core", 'python_version >= "3.12"'),
+    ]
 
 
 @pytest.mark.parametrize("requirement", of_users(), ids=lambda one: one.name)

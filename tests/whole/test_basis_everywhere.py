@@ -106,7 +106,7 @@ def test_fuzz_says_it(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFix
     Path("short.yaml").write_text(TEXT)
     fuzz(Path("short.yaml"), out=Path("out"), budget=4, verbose=True)
     said = [capsys.readouterr().out, Path("out/fuzz.html").read_text(), Path("out/findings.json").read_text()]
-    assert all(rests_on(one, "the kinematic world and in PyBullet") for one in said)
+    assert all(rests_on(one, "the kinematic world and in PyBullet and in MuJoCo") for one in said)
 
 
 def test_campaigns_say_it_while_they_stand_and_compared(

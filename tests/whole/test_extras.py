@@ -54,7 +54,7 @@ def test_above_python_3_11_pybullet_is_built_from_its_source(monkeypatch: pytest
     assert PYBULLET.hint.startswith("pip install 'hand-safety-harness[pybullet]'; ")
     monkeypatch.setattr(sys, "version_info", (3, 13, 0))
     assert PYBULLET.hint.startswith("it has no wheel above Python 3.11; pip install pybullet builds it")
-    assert "--world kinematic" in PYBULLET.hint
+    assert "--world mujoco" in PYBULLET.hint
 
 
 def test_an_onnx_file_names_the_extra_before_a_process_is_started(
@@ -111,6 +111,7 @@ class Missing:
 sys.meta_path.insert(0, Missing())
 import safety_harness
 own = ('training', 'networks', 'learning.export', 'pybullet_world', 'simulation.cell', 'engine', '__main__',
+    'mujoco_model', 'mujoco_world',
     '.gym', 'gym.environment', 'gym.observing', 'gym.vector', 'gym.stable_baselines')
 for one in pkgutil.walk_packages(safety_harness.__path__, 'safety_harness.', onerror=lambda name: None):
     if not one.name.endswith(own):

@@ -20,7 +20,7 @@ def test_robot_show_says_what_the_urdf_lacks_and_for_which_use(
     assert show(tmp_path / "arm.urdf") == AS_EXPECTED
     lines = capsys.readouterr().out.splitlines()
     row = next(line for line in lines if "the effort of j2" in line)
-    assert "drives with a torque limit, PyBullet" in row
+    assert "drives with a torque limit, a world with motors" in row
     assert "`joint torque limits`" in row
     cells = [line.split() for line in lines]
     assert [row[0] for row in cells if row[-1:] == ["50"]] == ["finance", "nan"]  # names are no numbers

@@ -51,13 +51,13 @@ def holds(found: Estimate, planted: float, *, within: float) -> bool:
     return abs(found.value - planted) <= within
 
 
-def test_both_worlds_lie_where_they_were_recorded(log: Path, cell: Path, tmp_path: Path) -> None:
+def test_all_worlds_lie_where_they_were_recorded(log: Path, cell: Path, tmp_path: Path) -> None:
     given = ["compare-worlds", str(log), "--scenario", str(cell), "--out", str(tmp_path)]
     found = CliRunner().invoke(app, given)
     assert found.exit_code == 0, found.output
     read = read_comparison(tmp_path / FILE)
-    assert [world.world for world in read.worlds] == ["PyBullet", "kinematic"]
-    for world, most in zip(read.worlds, (1e-4, 1e-9), strict=True):
+    assert [world.world for world in read.worlds] == ["PyBullet", "kinematic", "MuJoCo"]
+    for world, most in zip(read.worlds, (1e-4, 1e-9, 1e-9), strict=True):
         assert len(world.joints) == 6
         assert max(one.largest for one in world.joints) < most
         assert world.tcp is not None
@@ -146,8 +146,8 @@ def test_a_contradicted_verdict_ends_with_1(
     given = ["compare-worlds", str(log), "--scenario", str(cell), "--out", str(tmp_path)]
     found = CliRunner().invoke(app, given)
     assert found.exit_code == 1, found.output
-    assert found.stdout.count("DIFF hand distance never below 20 mm: recorded holds") == 2
-    assert [world.contradicted for world in read_comparison(tmp_path / FILE).worlds] == [1, 1]
+    assert found.stdout.count("DIFF hand distance never below 20 mm: recorded holds") == 3
+    assert [world.contradicted for world in read_comparison(tmp_path / FILE).worlds] == [1, 1, 1]
 
 
 def again(trace: Trace, admitted: Admitted) -> Trace:
