@@ -178,7 +178,9 @@ def physics_of(run: Trace | Exception, model: Trace | Exception) -> tuple[bool, 
         model: The run of the same scenario in the kinematic world.
 
     """
-    if isinstance(run, Exception) or isinstance(model, Exception) or len(run.ticks) != len(model.ticks):
+    if isinstance(model, Exception):
+        return False, "whether physics had a part is unknown: the kinematic world has no such run"
+    if isinstance(run, Exception) or len(run.ticks) != len(model.ticks):
         return True, "physics had a part: the kinematic world's run ends otherwise"
     apart_rad = np.abs(run.ticks["joint_position_rad"] - model.ticks["joint_position_rad"]).max(initial=0.0)
     had_part = not apart_rad <= SAME_RAD

@@ -20,6 +20,7 @@ import numpy as np
 from safety_harness.admission.admit import admit
 from safety_harness.admission.avoiders import as_seen_from
 from safety_harness.admission.repeatability import RepeatabilityResult
+from safety_harness.admission.trial import run_all
 from safety_harness.base.compiling import Pace
 from safety_harness.base.exceptions import OutputError, explanation
 from safety_harness.base.output import Output, where
@@ -51,7 +52,7 @@ from safety_harness.search.redrawn import keep_differences, more_overruled, wors
 from safety_harness.search.sampling import UniformSampling
 from safety_harness.search.search import find_violations
 from safety_harness.search.searchers import MakesSearcher
-from safety_harness.search.trials import InWorld, ScenarioRunner, Trials, in_kinematic
+from safety_harness.search.trials import InWorld, ScenarioRunner, Trials
 from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
 
@@ -472,7 +473,7 @@ class SearchSession:
 
     def _with_physics(self, case: Counterexample) -> Counterexample:
         """Count a confirmed case, and return it with a line that says whether physics had a part in it."""
-        (model,) = in_kinematic([admit(case.shrunk.scenario)])
+        (model,) = run_all([admit(case.shrunk.scenario)], KINEMATIC)  # which refuses rendered images
         had_part, sentence = physics_of(case.run, model)
         self.confirmed, self.physical = self.confirmed + 1, self.physical + had_part
         line = f"repeated in {self._confirming_words}; {sentence}"
@@ -632,9 +633,8 @@ def search_space(
         InadmissibleError: Admission refuses almost every point of the space.
 
     """
-    session = SearchSession(
-        trials, out or Path(), budget, output, tuple(references()), explain, explains_all, concluding
-    )
+    able = tuple(world for world in references() if world.makes_images_of(trials.space.simplest))
+    session = SearchSession(trials, out or Path(), budget, output, able, explain, explains_all, concluding)
     session.keeps = out is not None
     at = session.out
     files = [*at.glob("*.yaml"), *(at / AS_FOUND).rglob("*.yaml")] if (at / FINDINGS).exists() else []

@@ -113,6 +113,7 @@ def _loaded(library: str, core: ModuleType | None) -> tuple[tuple[str, str], tup
     if core is None:
         return (library, NOT_LOADED), None
     path = Path(str(getattr(core, "_native", core).__file__))  # cv2 has its compiled part below itself
+    path = next(path.parent.glob(f"lib{library}.so*"), path)  # mujoco's module only binds the engine
     name = "/".join(path.parts[path.parts.index(library) :]) if library in path.parts else path.name
     digest = _sha256(path)
     return _version(library, name, digest), (name, digest)

@@ -238,6 +238,15 @@ def test_a_run_goes_on_after_one_that_failed(tmp_path: Path) -> None:
     assert fine.ticks.tobytes() == run_trial(short, world=KINEMATIC).ticks.tobytes()  # type: ignore[union-attr]
 
 
+def test_a_simulator_that_is_edited_between_two_runs_is_not_started_again(tmp_path: Path) -> None:
+    world = changed(tmp_path, (MOVE, f"{MOVE}\n        if message['tick'] == 120: sys.exit(3)"))
+    (failed,) = run_all([visit()], world)
+    assert isinstance(failed, SimulationError)
+    (tmp_path / "cell.py").write_text(KINEMATIC_CELL.read_text())
+    with pytest.raises(SimulationError, match="its files have changed"):
+        run_trial(visit(0.2), world=world)
+
+
 @pytest.mark.parametrize(
     ("change", "expected"),
     [

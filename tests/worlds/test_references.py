@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -12,12 +13,20 @@ from examples import VISIT, scenario
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import run_trial
 from safety_harness.base.exceptions import SimulationError
-from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET, OpensWorld, WorldEntry, defaulted
+from safety_harness.cell.simulation.worlds import (
+    KINEMATIC,
+    PYBULLET,
+    OpensWorld,
+    WorldEntry,
+    defaulted,
+    references,
+)
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS
 from safety_harness.cli.fuzz import fuzz
 from safety_harness.cli.scenario_commands import run
 from safety_harness.extensions.worlds.mujoco_entry import MUJOCO
 from safety_harness.report import search_attribution
+from safety_harness.scenario.read import read_scenario
 from safety_harness.search import session as search_session
 from safety_harness.search.confirm import physics_of
 from tests.cell.simulation.test_without_pybullet import SHORT
@@ -64,6 +73,21 @@ def test_references_that_disagree_are_a_finding_and_confirm_nothing(
     assert "REFERENCES DISAGREE" in capsys.readouterr().out
 
 
+def test_a_reference_without_a_renderer_has_no_say_about_rendered_images() -> None:
+    rendered = read_scenario("shipped:rendered-images")
+    assert [world.label for world in references() if world.makes_images_of(rendered)] == ["PyBullet"]
+    assert [world.label for world in references() if world.makes_images_of(scenario())] == [
+        "PyBullet",
+        "MuJoCo",
+    ]
+
+
+def test_evidence_has_the_hash_of_the_engine_and_not_of_its_binding() -> None:
+    made = run_trial(admit(replace(scenario(VISIT), duration_s=0.1)), world=MUJOCO).provenance
+    assert any("libmujoco.so" in name for name, _ in made.files)
+    assert dict(made.libraries)["mujoco-core"] == version("mujoco-core")
+
+
 def test_physics_has_a_part_where_motors_are_too_weak() -> None:
     strong = admit(replace(scenario(VISIT), duration_s=1.0))
     weak = replace(strong, arm=replace(strong.arm, effort_limit=0.2 * strong.arm.effort_limit))
@@ -71,6 +95,9 @@ def test_physics_has_a_part_where_motors_are_too_weak() -> None:
     assert physics_of(run_trial(strong, world=MUJOCO), model)[0] is False
     assert physics_of(run_trial(weak, world=MUJOCO), model)[0] is True
     assert physics_of(SimulationError("no run"), model)[0] is True
+    assert physics_of(model, SimulationError("no renderer"))[1].startswith(
+        "whether physics had a part is unknown"
+    )
 
 
 def test_without_pybullet_a_run_takes_mujoco_and_says_so(

@@ -81,6 +81,10 @@ class WorldEntry:
             return False
         return True
 
+    def makes_images_of(self, scenario: Scenario) -> bool:
+        """Return whether the world makes all images of a scenario."""
+        return self.renders or not has_rendered_images(scenario)
+
     def opener(self) -> OpensWorld:
         """Return the world's class; raise ``InstallationError`` if its engine is not installed."""
         try:

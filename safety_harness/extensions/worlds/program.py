@@ -64,6 +64,7 @@ def program_world(reference: str) -> WorldEntry:
     )
 
 
+@lru_cache  # each run opens the world, and this reads the program's files
 def _opener(reference: str) -> OpensWorld:
     """Return the function that opens a scenario in a simulator."""
     peer_of(reference, PLACE, BEGIN_S, LOGGER)  # refuses a program that does not exist
@@ -110,6 +111,8 @@ class Simulator:
         try:
             if isinstance(message, WorldReset) and not self._connection.quiet:
                 self._connection.end()
+                if program_sha256(self.reference, PLACE) != self.sha256:
+                    raise NonsenseError("its files have changed since it began")
                 if self._begun() != self._said:
                     raise NonsenseError("after a restart it describes itself differently")
             self._connection.say(message, limit_s)
