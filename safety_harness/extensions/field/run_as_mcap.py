@@ -176,8 +176,9 @@ class _Messages:
     def all_of(self, evaluations: Sequence[Evaluation]) -> Iterator[Message]:
         """Yield every message, although not in the order of time."""
         yield self._still_scene()
-        for at_ns, tick in zip(self.stamps, self.trace.ticks, strict=True):
-            yield from self._tick(at_ns, tick)
+        rows = zip(self.stamps, self.trace.ticks, self._poses(), strict=True)
+        for at_ns, tick, poses in rows:
+            yield from self._tick(at_ns, tick, poses)
         for hand in range(len(self.trace.scenario.hands)):
             for at_ns, places in zip(*_hand_samples(self.trace, hand), strict=True):
                 for body, place in zip(("hand", "elbow"), places, strict=True):
@@ -209,14 +210,23 @@ class _Messages:
         kind = f"{FOXGLOVE}Log"
         return at_ns, "/events", kind, self._new(kind, self._time(at_ns), level, text, name, "", 0)
 
-    def _tick(self, at_ns: int, tick: Any) -> Iterator[Message]:
+    def _poses(self) -> NDArray[np.float64]:
+        """Return (n, frames, 7) place [m] and unit quaternion (x, y, z, w) of each frame at each tick."""
+        from scipy.spatial.transform import Rotation
+
+        joints_rad = np.ascontiguousarray(self.trace.ticks["joint_position_rad"])
+        poses = np.array([links_in_base(self.arm, row) for row in joints_rad])  # (n, frames, 4, 4)
+        turns = Rotation.from_matrix(poses[..., :3, :3].reshape(-1, 3, 3)).as_quat()
+        return np.concatenate([poses[..., :3, 3], turns.reshape(*poses.shape[:2], 4)], axis=2)
+
+    def _tick(self, at_ns: int, tick: Any, poses: NDArray[np.float64]) -> Iterator[Message]:
         """Yield a tick's messages: joints, transforms, the controller's state, tracked and drawn hands."""
         names, joints_rad = list(self.arm.joint_names), tick["joint_position_rad"]
         turning, demanded = tick["joint_velocity_radps"], tick["demanded_joint_velocity_radps"]
         yield self._stamped(at_ns, "/joint_states", JOINTS, names, joints_rad, turning, NONE)
         yield self._stamped(at_ns, "/commands", JOINTS, names, NONE, demanded, NONE)
-        poses = zip(self.frames, links_in_base(self.arm, np.ascontiguousarray(joints_rad)), strict=True)
-        moved = [self._transform(at_ns, frame, pose) for frame, pose in poses if frame != self.base]
+        framed = zip(self.frames, poses, strict=True)
+        moved = [self._transform(at_ns, frame, pose) for frame, pose in framed if frame != self.base]
         yield at_ns, "/tf", TF, self._new(TF, moved)
         near_m = np.where(tick["hand_present"], tick["hand_distance_m"], np.inf).min()
         numbers = map(float, (near_m, tick["predicted_distance_m"], tick["tcp_speed_mps"]))
@@ -233,10 +243,8 @@ class _Messages:
         yield at_ns, "/hands", SCENE, self._new(SCENE, [], drawn)
 
     def _transform(self, at_ns: int, frame: str, pose: NDArray[np.float64]) -> Any:
-        from scipy.spatial.transform import Rotation
-
-        turn = self._of_numbers("Quaternion", Rotation.from_matrix(pose[:3, :3]).as_quat())
-        moved = self._new(f"{GEOMETRY}Transform", self._of_numbers("Vector3", pose[:3, 3]), turn)
+        turn = self._of_numbers("Quaternion", pose[3:])
+        moved = self._new(f"{GEOMETRY}Transform", self._of_numbers("Vector3", pose[:3]), turn)
         return self._new(f"{GEOMETRY}TransformStamped", self._header(at_ns), frame, moved)
 
     def _still_scene(self) -> Message:
