@@ -4,20 +4,21 @@
 PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
-# Byte code is made of what is used, when it is.
-INSTALL := -m pip install --quiet --disable-pip-version-check --no-compile
-HERE := $(BIN)/python $(INSTALL) --constraint requirements.lock
+# uv takes a third of pip's time, and makes byte code of what is used, when it is.
+UV := .venv-uv/bin/python .ci/uv.py
+NEW := $(UV) venv --quiet --seed --clear --python $(PYTHON)
+INSTALL := $(UV) pip install --quiet --python
+HERE := $(INSTALL) $(BIN)/python --constraint requirements.lock
 
 .PHONY: demo bits test test-all test-core rest slow light long shield-all warm check style types tables site-tests accessibility sample paper bench bench-all bench-stale others docs wheel oracles mutation mutants bounds release setup clean
 
 demo: $(VENV)/installed
 	$(BIN)/safety-harness run scenarios --out reports/demo
 
-# Style, types and what is generated; then the core, where no wing is installed, and the quick tests of the wings.
-# What needs no machine code runs while it is compiled.
+# What is generated, style and types; then the core, where no wing is installed, and the quick tests of the wings.
+# Machine code is compiled beside the types, and what needs none of it runs next.
 test: $(VENV)/tested
-	$(MAKE) --no-print-directory --jobs 2 --output-sync=target style types tables
-	$(MAKE) --no-print-directory --jobs 2 warm light
+	$(MAKE) --no-print-directory --jobs 2 --output-sync=target tables style types warm light
 	$(call run,$(QUICK) $(CORE),$(ALONE))
 	$(call run,$(QUICK) $(OTHERS) $(GENERATED:%=--ignore=%))
 
@@ -69,7 +70,7 @@ light: $(VENV)/tested
 
 # What takes long and has a quick sibling.
 long: warm
-	$(BIN)/python $(INSTALL) --no-deps example-robot-data==6.0.0
+	$(INSTALL) $(BIN)/python --no-deps example-robot-data==6.0.0
 	$(BIN)/python $(SUITE) -m long
 
 # Machine code once, not by each worker.
@@ -96,14 +97,17 @@ bench: $(VENV)/benchmarks
 
 others: .venv-psy-taliro/installed .venv-verifai/installed
 
-.venv-%/installed:
-	$(PYTHON) -m venv .venv-$*
-	.venv-$*/bin/python $(INSTALL) $($*)
+.venv-%/installed: .venv-uv/bin/uv
+	$(NEW) .venv-$*
+	$(INSTALL) .venv-$*/bin/python $($*)
 	touch $@
+
+.venv-uv/bin/uv:
+	$(PYTHON) -m venv .venv-uv
+	.venv-uv/bin/python -m pip install --quiet --disable-pip-version-check uv==0.13.9
 
 psy-taliro := psy-taliro==3.2.0
 verifai := verifai==2.2.0
-lock := uv==0.13.9
 
 # The long tables, hours; bench-loop, say, is one of them. A change of ratios: results.py --against REVISION.
 LONG := agreement arms big_pages busy campaign convergence crashes dataset decision environments \
@@ -137,7 +141,7 @@ site-tests: docs $(VENV)/tested
 
 # Into dist/, with scenarios, plans, examples (setup.py), the site, and machine code for each Python of CODE_FOR.
 CODE_FOR :=
-wheel: docs
+wheel: docs .venv-uv/bin/uv
 	.ci/machine_code.py $(CODE_FOR)
 	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir dist .
 
@@ -180,8 +184,8 @@ bounds: $(VENV)/tested
 
 # The newest versions of the ranges in pyproject.toml, for this repository.  Not kept: what torch brings for a GPU.
 .PHONY: lock oldest newest crowded installed
-COMPILE := .venv-lock/bin/uv pip compile --quiet --python-version 3.11 --no-annotate --no-header pyproject.toml
-lock: .venv-lock/installed
+COMPILE := $(UV) pip compile --quiet --python-version 3.11 --no-annotate --no-header pyproject.toml
+lock: .venv-uv/bin/uv
 	$(COMPILE) --all-extras --upgrade --output-file requirements.lock
 	sed -i '/^\(cuda\|nvidia\|triton\)/d; 1i # What this repository is tested with, Python 3.11: "make lock" writes it.' \
 		requirements.lock
@@ -195,10 +199,10 @@ ASKING := $(addprefix tests/assurance/statistics/test_,binomial.py distances.py 
 UNASKED := type_check test_rare adversary whole_shifts stopping_as_soon many_repetitions more_ways
 oldest := lowest-direct
 newest := highest
-.venv-oldest/versions .venv-newest/versions: .venv-%/versions: pyproject.toml .venv-lock/installed
-	$(PYTHON) -m venv --clear .venv-$*
+.venv-oldest/versions .venv-newest/versions: .venv-%/versions: pyproject.toml .venv-uv/bin/uv
+	$(NEW) .venv-$*
 	echo 'pytest>=8' | $(COMPILE) - --extra images --extra onnx --resolution $($*) --output-file $@
-	.venv-$*/bin/python $(INSTALL) --constraint $@ --editable '.[images,onnx]' pytest jsonschema
+	$(INSTALL) .venv-$*/bin/python --constraint $@ --editable '.[images,onnx]' pytest jsonschema
 oldest newest: %: .venv-%/versions
 	.venv-$@/bin/python -m pip check
 	.venv-$@/bin/safety-harness run scenarios/rendered-images.yaml --out reports/$@
@@ -206,9 +210,9 @@ oldest newest: %: .venv-%/versions
 
 # Beside what other people install.
 CROWD := torch==2.13.0 stable-baselines3 gymnasium mujoco pin rosbags
-crowded:
-	$(PYTHON) -m venv --clear .venv-$@
-	.venv-$@/bin/python $(INSTALL) $(CROWD) .
+crowded: .venv-uv/bin/uv
+	$(NEW) .venv-$@
+	$(INSTALL) .venv-$@/bin/python $(CROWD) .
 	.venv-$@/bin/python -m pip check
 	.venv-$@/bin/python -c "import safety_harness, torch, stable_baselines3, gymnasium, mujoco, pinocchio, rosbags"
 	.venv-$@/bin/safety-harness run scenarios/hand-visits-and-leaves.yaml --out reports/crowded
@@ -226,15 +230,15 @@ release:
 
 setup: $(VENV)/installed
 
-$(VENV)/bin/python:
-	$(PYTHON) -m venv $(VENV)
+$(VENV)/bin/python: | .venv-uv/bin/uv
+	$(NEW) $(VENV)
 
 # With what the shipped scenarios ask for: one has rendered images.
-$(VENV)/installed: pyproject.toml requirements.lock | $(VENV)/bin/python
+$(VENV)/installed: pyproject.toml requirements.lock | .venv-uv/bin/uv $(VENV)/bin/python
 	$(HERE) --editable '.[images,onnx]'
 	touch $@
 
-$(VENV)/tested: pyproject.toml requirements.lock | $(VENV)/bin/python
+$(VENV)/tested: pyproject.toml requirements.lock | .venv-uv/bin/uv $(VENV)/bin/python
 	$(HERE) --editable '.[test]' --editable paper
 	touch $(VENV)/installed $(VENV)/documented $@
 
@@ -242,7 +246,7 @@ $(VENV)/benchmarks: $(VENV)/installed
 	$(HERE) --editable '.[benchmarks]'
 	touch $@
 
-$(VENV)/documented: pyproject.toml requirements.lock | $(VENV)/bin/python
+$(VENV)/documented: pyproject.toml requirements.lock | .venv-uv/bin/uv $(VENV)/bin/python
 	$(HERE) --editable '.[docs]'
 	touch $@
 

@@ -19,6 +19,7 @@ from pathlib import Path
 from installed import VERSIONS, interpreter
 
 FOLDER = Path("machine_code")
+UV = (".venv-uv/bin/python", ".ci/uv.py")  # which the Makefile installs
 
 
 def compile_for(version: str) -> bool:
@@ -29,11 +30,10 @@ def compile_for(version: str) -> bool:
         return False
     venv, cache = Path(f".venv-code-{version}"), Path("build", f"code-{version}")
     own = str(venv.absolute() / "bin" / "python")
-    if not Path(own).exists():
-        subprocess.run([python, "-m", "venv", venv], check=True)
+    subprocess.run([*UV, "venv", "--quiet", "--clear", "--python", python, venv], check=True)
     needed = tomllib.loads(Path("pyproject.toml").read_text("utf-8"))["project"]["dependencies"]
-    install = "-m pip install -q --disable-pip-version-check --constraint requirements.lock"
-    subprocess.run([own, *install.split(), *needed], check=True)
+    install = ["pip", "install", "--quiet", "--python", own, "--constraint", "requirements.lock"]
+    subprocess.run([*UV, *install, *needed], check=True)
     target = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "", "SAFETY_HARNESS_CACHE": str(cache)}
     subprocess.run([own, "-m", "safety_harness", "warm"], check=True, env=os.environ | target)
     unfinished = shutil.ignore_patterns("*.lock", "*.tmp.*")  # of a second process that was ended
