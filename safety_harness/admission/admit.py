@@ -47,7 +47,7 @@ from safety_harness.admission.poses import (
 )
 from safety_harness.base.exceptions import InadmissibleError, NoAnswerError, SettingsError, refuse_other_type
 from safety_harness.base.seeds import Branch, seed
-from safety_harness.base.settings import DecisionCost, Settings, Vector3
+from safety_harness.base.settings import DecisionCost, DecisionTimes, Settings, Vector3
 from safety_harness.cell.avoidance.asking import Question, ask
 from safety_harness.cell.avoidance.avoider import Avoider, decision_time_of, shown_to
 from safety_harness.cell.avoidance.gate import Gate
@@ -170,7 +170,21 @@ class Admitted(Checked):
             seed(scenario.seed, Branch.CONTROLLER),
             scenario.hand_slots,
             self.guard(),
+            decision_times_s(
+                scenario.settings.avoidance.decision_time, 0.0, scenario.seed, scenario.ticks + 1
+            ),
         )
+
+    @property
+    def answers_later(self) -> bool:
+        """Whether the answers of the scenario's controller cost simulated time."""
+        costs = isinstance(self.cost, DecisionTimes) and self.cost.quantiles_s[-1] > 0.0
+        return self.scenario.driven and costs
+
+    @property
+    def cost(self) -> DecisionCost | DecisionTimes:
+        """The cost of an answer in simulated time, by the settings."""
+        return self.scenario.settings.avoidance.decision_time
 
     def servo(self, recorded: Trace | None = None) -> AvoidingServo:
         """Return a fresh visual servo for one run of a scenario that it drives.
@@ -184,7 +198,7 @@ class Admitted(Checked):
         robot = scenario.robot
         arm = inverse_kinematics(robot), arm_capsules(robot)
         gate = Gate.from_settings(settings, *arm, scenario.obstacles, scenario.gate)
-        cost, declared_s = settings.avoidance.decision_time, decision_time_of(self.avoider)
+        cost, declared_s = self.cost, decision_time_of(self.avoider)
         if recorded is not None and cost is DecisionCost.WALL_CLOCK:
             times_s = recorded_times_s(recorded)
         else:
@@ -359,6 +373,7 @@ def _driven(checked: Checked, driver: MadeDriver) -> Admitted:
     if driver.sees_object:
         checked = _check(checked.scenario, sees_object=True)
     refuse_no_images(checked.scenario, driver)
+    check_decision_time(checked.scenario, NOBODY, driver.sha256)
     admitted = Admitted(**vars(checked), avoider=NOBODY, avoider_sha256="", driver=driver)
     refuse_no_action(admitted.scenario, driver, admitted.driven_by)
     return admitted

@@ -27,6 +27,7 @@ from safety_harness.cell.robot.robots import drive_model
 from safety_harness.cell.servoing.control import DesiredView
 from safety_harness.cell.simulation.cameras import RING, sensors
 from safety_harness.cell.simulation.exact_views import hand_box
+from safety_harness.scenario.decision_times import refuse_wall_clock
 from safety_harness.scenario.fault_table import fault_table
 from safety_harness.scenario.faults import CameraHidden, CameraLate, FalseHand, HandSensorLate
 from safety_harness.scenario.model import Scenario
@@ -217,25 +218,30 @@ def _check_one_optics(scenario: Scenario) -> None:
 
 
 def check_decision_time(scenario: Scenario, avoider: Avoider, own: str) -> None:
-    """Raise InadmissibleError if the profile belongs to another avoider, or the avoider's time is invalid.
+    """Raise InadmissibleError if the profile is of another program, or the avoider's time is invalid.
+
+    A controller's answers cannot cost the time of the wall's clock.
 
     Args:
         scenario: The scenario.
         avoider: Its avoider.
-        own: The hash of the avoider's file; empty without a file.
+        own: The hash of the file of the avoider or controller; empty without a file.
 
     """
     try:
         decision_time_of(avoider)
     except AvoiderError as error:
         raise scenario.inadmissible("an avoider that declares a time", str(error), "avoider") from None
-    cost = scenario.settings.avoidance.decision_time
+    cost, tested = scenario.settings.avoidance.decision_time, str(scenario.under_test)
+    if scenario.driven:
+        refuse_wall_clock(scenario, InadmissibleError, runs="runs of a controller")
     measured = cost.measured if isinstance(cost, DecisionTimes) else None
     if measured is None:
         return
-    if measured.sha256 != own or (not own and measured.avoider != scenario.avoider):
-        expected = f"a profile of the avoider {scenario.avoider}, as its file is now"
-        hint = f"safety-harness time {shlex.quote(scenario.avoider)} --out FILE.json"
+    if measured.sha256 != own or (not own and measured.avoider != tested):
+        expected = f"a profile of {tested}, as its file is now"
+        option = "--controller " if scenario.driven else ""
+        hint = f"safety-harness time {option}{shlex.quote(tested)} --out FILE.json"
         got = f"one of {measured.avoider}" + (f", sha256 {measured.sha256[:12]}..." if own else "")
         raise scenario.inadmissible(expected, got, "settings.avoidance.decision time", hint=hint)
 

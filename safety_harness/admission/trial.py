@@ -156,7 +156,7 @@ def _runs(
         driver = admitted.driver
         # These run one after another: a driver remembers their order, and a batch stores no view.
         alone = shown_to(admitted.avoider) if driver is None else not (driver.many and world is KINEMATIC)
-        alone = alone or admitted.safety_filter is not None
+        alone = alone or admitted.safety_filter is not None or admitted.answers_later
         if driver is None and not alone:
             refuse_wall_clock(admitted.scenario, InadmissibleError, runs="these runs")
         full = ticks + admitted.scenario.ticks + 1 > ticks_at_once or (driver and len(chunk) == MOST_LANES)

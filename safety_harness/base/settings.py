@@ -305,8 +305,9 @@ class Avoidance:
     decision_deadline_s: float = setting(0.1, "a later answer, in simulated time, counts as missing")
     decision_time: DecisionCost | DecisionTimes = setting(
         DecisionCost.AS_DECLARED,
-        "what a decision costs in simulated time, drawn anew for each; as the avoider declares it "
-        "([avoiders](how-to/avoider.md#computing-time))",
+        "what a decision costs in simulated time, or an answer of your controller, drawn anew for each; as "
+        "the avoider declares it ([avoiders](how-to/avoider.md#computing-time), "
+        "[controllers](how-to/controller.md#how-long-it-computes))",
         example="settings: {avoidance: {decision time: 40 ms}}",
     )
     restart_delay_s: float = setting(

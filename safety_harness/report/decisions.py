@@ -237,26 +237,33 @@ class ComputingTime:
     def from_trace(cls, trace: Trace) -> ComputingTime:
         """Return the computing time that ``trace`` records."""
         cost = trace.scenario.settings.avoidance.decision_time
-        cost_text = NOT_MODELLED if trace.scenario.driven else cost_words(cost, most_cost_s(trace))
+        noun = "an answer" if trace.scenario.driven else "a decision"
+        cost_text = cost_words(cost, most_cost_s(trace), noun)
         return cls(trace.system.tested.name, cost_text, AnswersTook.from_trace(trace))
 
 
-def cost_words(cost: DecisionCost | DecisionTimes, declared_s: float) -> str:
-    """Return the cost of a decision by the settings, or ``declared_s`` [s] if the avoider declares it."""
+def cost_words(
+    cost: DecisionCost | DecisionTimes, declared_s: float, decision_noun: str = "a decision"
+) -> str:
+    """Return the cost of a decision by the settings, or ``declared_s`` [s] if the avoider declares it.
+
+    ``decision_noun`` is the term for a decision, such as "an answer" of a controller.
+    """
+    noun = decision_noun.rpartition(" ")[2]
     if cost is DecisionCost.WALL_CLOCK:
         return "what each answer took on the wall's clock: the run repeats from its record only"
     if not isinstance(cost, DecisionTimes):
         if declared_s == 0.0:
             return NOT_MODELLED
-        return f"{milliseconds_words(declared_s)} a decision, as the avoider declares"
+        return f"{milliseconds_words(declared_s)} {decision_noun}, as the avoider declares"
     least, middle, most = (milliseconds_words(float(np.quantile(cost.quantiles_s, q))) for q in (0, 0.5, 1))
     if cost.measured is not None:
         source = f"{cost.measured.questions:,} answers of {cost.measured.avoider} on {cost.measured.machine}"
-        return f"drawn for each decision from {source}: median {middle}, at most {most}"
+        return f"drawn for each {noun} from {source}: median {middle}, at most {most}"
     if cost.quantiles_s[-1] == 0.0:
         return NOT_MODELLED
     always = len(cost.quantiles_s) == 1
-    return f"{most} a decision" if always else f"{least} to {most}, drawn for each decision"
+    return f"{most} {decision_noun}" if always else f"{least} to {most}, drawn for each {noun}"
 
 
 def computing_times(traces: Iterable[Trace]) -> list[ComputingTime]:

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from safety_harness.base.geometry.arrays import Array3
-from safety_harness.base.settings import DEFAULTS, Settings
+from safety_harness.base.settings import DEFAULTS, DecisionTimes, Settings
 from safety_harness.cell.robot.drive import delay_ticks
 from safety_harness.claims.properties.base import Evaluation, Unit
 from safety_harness.claims.properties.positions import BEYOND_M, RepulsivePosesReachable
+from safety_harness.scenario.decision_times import write_decision_time
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.references import EXEC, names_a_program
 from safety_harness.scenario.robots import AnyRobot, OwnRobot, Robot
@@ -141,6 +142,9 @@ def setting_words(name: str, value: object) -> str:
     """Return the value of a setting in a common unit, which the suffix of ``name`` determines."""
     if isinstance(value, Enum):
         return str(value.value)
+    if isinstance(value, DecisionTimes):
+        known = value.measured
+        return f"of {known.avoider}, as measured" if known else str(write_decision_time(value))
     if isinstance(value, bool) or not isinstance(value, int | float | tuple):
         return "none" if value is None else str(value)
     unit, factor = "", 1.0

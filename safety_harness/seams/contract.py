@@ -314,6 +314,9 @@ class UserController(Protocol):
     of its actions. If the controller raises an exception or returns something other than an action, the
     episode fails for that reason.
 
+    An optional ``acts_per_answer`` states for how many calls of ``act`` an answer lasts, as for a policy that
+    answers in chunks. If the scenario has a decision time, only the first of these calls costs time.
+
     Its class may have ``act_many(controllers, seen)``, so that many episodes run side by side, in lanes. This
     function returns the ``Moves`` of n episodes at once, with the same bits as ``act`` of each controller.
     ``seen`` holds the arrays of ``arrays.observed`` for the words in ``sees``, n rows each, ``time_s`` (n,)
@@ -377,17 +380,25 @@ def reports_of(controller: UserController) -> tuple[str, ...]:
     """Return the controller's ``reports`` in the order of ``REPORTS``.
 
     Raise ControllerError if a word is unknown, or if the controller declares a ``decision_time_s``, because
-    no run simulates it.
+    the scenario states it.
     """
     if getattr(controller, "decision_time_s", None):
         raise ControllerError(
-            "decision_time_s of a controller is not simulated: every answer counts in its own tick; "
-            "hold the answers back in act itself"
+            "decision_time_s of a controller is not read: state the time in the scenario, as "
+            "settings: {avoidance: {decision time: 40 ms}}"
         )
     reports = _words_of(controller, "reports", getattr(controller, "reports", ()), REPORTS)
     if DOUBT in reports and DECISIONS not in reports:
         raise ControllerError('reports: "doubt" needs "decisions", which they lack')
     return reports
+
+
+def acts_per_answer_of(controller: UserController) -> int:
+    """Return the controller's ``acts_per_answer``, or 1; ControllerError if it is no positive integer."""
+    count = getattr(controller, "acts_per_answer", 1)
+    if not isinstance(count, int) or isinstance(count, bool) or count < 1:
+        raise ControllerError(f"acts_per_answer must be a whole number of at least 1; got {count!r}")
+    return count
 
 
 def _words_of(controller: object, name: str, given: object, table: tuple[SightWord, ...]) -> tuple[str, ...]:

@@ -18,8 +18,8 @@ MOST_SLOW = 0.05  # of the answers: with more, the 95th percentile is above the 
 class AnswersTook:
     """The number of timed ``answers``, and of ``slow`` answers that took longer than ``limit_s`` [s].
 
-    The limit is the largest cost of a decision in simulated time. If decisions cost nothing, as with every
-    controller, the limit is one control period. ``slowest_s`` [s] is the longest wall-clock time of an
+    The limit is the largest cost of an answer in simulated time. If answers cost nothing, the limit is one
+    control period. ``slowest_s`` [s] is the longest wall-clock time of an
     answer.
     """
 
@@ -31,11 +31,9 @@ class AnswersTook:
     @classmethod
     def from_trace(cls, trace: Trace) -> AnswersTook:
         """Return the answer times of one run, without answers given together, which have no time each."""
-        settings, took_s = trace.scenario.settings, trace.answer_s
-        limit_s = 0.0
-        if not trace.scenario.driven:
-            took_s, limit_s = trace.decision_latency_s, most_cost_s(trace)
-        took_s, limit_s = took_s[took_s > 0.0], limit_s or settings.clock.control_period_s
+        took_s = trace.answer_s if trace.scenario.driven else trace.decision_latency_s
+        limit_s = most_cost_s(trace) or trace.scenario.settings.clock.control_period_s
+        took_s = took_s[took_s > 0.0]
         slow = int(np.count_nonzero(took_s > limit_s))
         return cls(len(took_s), slow, float(np.max(took_s, initial=0.0)), limit_s)
 
@@ -61,7 +59,9 @@ class AnswersTook:
 
 
 def most_cost_s(trace: Trace) -> float:
-    """Return the largest cost [s] in simulated time that a decision of the run may have."""
+    """Return the largest cost [s] in simulated time that an answer of the run may have."""
     cost = trace.scenario.settings.avoidance.decision_time
-    drawn_s = cost.quantiles_s if isinstance(cost, DecisionTimes) else trace.decisions["decision_time_s"]
+    if isinstance(cost, DecisionTimes):
+        return float(cost.quantiles_s[-1])
+    drawn_s = () if trace.scenario.driven else trace.decisions["decision_time_s"]
     return float(np.max(drawn_s, initial=0.0))

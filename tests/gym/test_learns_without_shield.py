@@ -1,4 +1,4 @@
-"""An agent learns without a shield."""
+"""An agent learns without a shield, and its actions count in their own tick."""
 
 from __future__ import annotations
 
@@ -22,3 +22,9 @@ def test_an_agent_learns_without_one() -> None:
     shielded = parse_scenario(TEXT + "shield: speed and separation\n")
     with pytest.raises(InadmissibleError, match=r":7: shield: expected no shield"):
         Episodes(shielded, None, KINEMATIC)
+
+
+def test_actions_that_would_count_later_are_refused() -> None:
+    slow = parse_scenario(TEXT + "settings: {avoidance: {decision time: 40 ms}}\n")
+    with pytest.raises(InadmissibleError, match=r"avoidance.decision time: expected no decision time"):
+        Episodes(slow, None, KINEMATIC)

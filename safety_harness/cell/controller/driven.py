@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from copy import deepcopy
 from functools import lru_cache
+from math import ceil
 from typing import Any
 
 import numba
@@ -20,6 +22,7 @@ from safety_harness.base.exceptions import ControllerError, described
 from safety_harness.base.settings import Settings
 from safety_harness.cell.controller.answers import LaneAnswers, in_act, numbers
 from safety_harness.cell.controller.cycle import QUESTION, report
+from safety_harness.cell.controller.decision_times import NOTHING
 from safety_harness.cell.controller.records import (
     ObservationRecords,
     QuestionRecords,
@@ -48,7 +51,9 @@ from safety_harness.seams.contract import (
     Report,
     Seen,
     Start,
+    Stop,
     UserController,
+    acts_per_answer_of,
     reports_of,
     sees_of,
 )
@@ -78,7 +83,8 @@ class DrivenController:
 
     Raise ``ControllerError`` if the controller raises an exception or returns an invalid action.
     ``joint_position_rad`` (n,) is the arm's start. ``view``, the desired view, is necessary only if the
-    controller sees the object. ``guard`` is the scenario's shield in this run.
+    controller sees the object. ``guard`` is the scenario's shield in this run. ``answer_times_s`` (n,) [s] is
+    the cost in simulated time of an answer to the view of each tick, from the function ``decision_times_s``.
     """
 
     def __init__(
@@ -91,6 +97,7 @@ class DrivenController:
         seed: int,
         hand_slots: int,
         guard: Guard | None = None,
+        answer_times_s: Floats = NOTHING,
     ) -> None:
         self.user = user
         self.name = user.name
@@ -101,6 +108,9 @@ class DrivenController:
         self._decisions: list[NDArray[np.void]] = []
         self.answers_took_s: list[float] = []  # on the wall's clock; without joint answers of lanes
         self.answers = LaneAnswers(1, joints, self.reports)
+        self._computing = (
+            _Computing(user, answer_times_s, joints, self.reports) if answer_times_s.any() else None
+        )
         self.period_s = settings.clock.control_period_s
         self.layout = SeenLayout(hand_slots, joints, self.sees)
         self.lie_in(records, QuestionRecords(np.zeros(1, QUESTION)))
@@ -211,22 +221,46 @@ class DrivenController:
         return dict.fromkeys([*lacking, *(OF_DECISIONS + name for name in of_decisions)], NOT_REPORTED)
 
     def ask(self) -> None:
-        """Call the controller, and store in ``answers`` its action for the time until the next tick."""
+        """Call the controller, and store in ``answers`` its action for the time until the next tick.
+
+        If answers cost simulated time, the previous action goes on until the answer counts, and the
+        controller is not called before that.
+        """
+        try:
+            if self._computing is None:
+                self._note(self._called(self.answers))
+            else:
+                self._ask_if_idle(self._computing)
+        except ControllerError as error:
+            raise self.failed(in_act(error)) from error
+        except (Exception, SystemExit) as error:  # a user's code may raise anything
+            raise self.failed(f"act raised: {described(error)}") from error
+
+    def _ask_if_idle(self, computing: _Computing) -> None:
+        """Let an answer count that is due, and call the controller if it computes nothing."""
+        tick = int(self.question[0]["tick"])
+        self.question["made_now"] = False
+        if computing.is_due(tick):
+            self._note(computing.put_into(self.answers))
+            if computing.goes_on:
+                return
+        if computing.counts_from is None:
+            computing.began(tick, self._called(computing.answers), self.period_s)
+            if computing.is_due(tick):
+                self._note(computing.put_into(self.answers))
+
+    def _called(self, answers: LaneAnswers) -> Action:
+        """Return the controller's action, which is stored in ``answers`` too."""
         row = self._floats.copy()
         row.flags.writeable = False
         seen = Seen.of_row(float(row[0]), self.period_s, self.layout, row)
         if self._image is not None and IMAGE in self.sees:
             seen.__dict__["image"] = self._image()
-        try:
-            begun_s = time.perf_counter()
-            action = self.user.act(seen)
-            self.answers_took_s.append(time.perf_counter() - begun_s)
-            self.answers.take(0, action)
-            self._note(action)
-        except ControllerError as error:
-            raise self.failed(in_act(error)) from error
-        except (Exception, SystemExit) as error:  # a user's code may raise anything
-            raise self.failed(f"act raised: {described(error)}") from error
+        begun_s = time.perf_counter()
+        action = self.user.act(seen)
+        self.answers_took_s.append(time.perf_counter() - begun_s)
+        answers.take(0, action)
+        return action
 
     def not_finite(self, wanted: Floats) -> ControllerError:
         """Return the error about the velocities ``wanted``, (6,) or (n,), that are not finite."""
@@ -263,6 +297,45 @@ class DrivenController:
         for name, value in pairs.items():
             record[name] = numbers(name, value, record[name][0].shape)
         return record
+
+
+class _Computing:
+    """The answer of a controller whose answers cost simulated time, until it counts.
+
+    ``times_s`` (n,) [s] is the cost at each tick. Of a ``user`` whose answer lasts for several calls of
+    ``act``, as its ``acts_per_answer`` says, only the first of these calls costs time.
+    """
+
+    def __init__(self, user: UserController, times_s: Floats, joints: int, reports: tuple[str, ...]) -> None:
+        self.answers = LaneAnswers(1, joints, reports)
+        self.counts_from: int | None = None  # tick; None: the controller computes nothing
+        self._times_s, self._acts = times_s, 0
+        self._per_answer = acts_per_answer_of(user)
+        self._action: Action = Stop()
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether the next call of ``act`` returns a part of the last answer."""
+        return self._acts % self._per_answer != 0
+
+    def is_due(self, tick: int) -> bool:
+        """Return whether there is an answer that counts from ``tick`` or an earlier tick."""
+        return self.counts_from is not None and self.counts_from <= tick
+
+    def began(self, tick: int, action: Action, period_s: float) -> None:
+        """Keep the ``action`` whose computation begins at ``tick``."""
+        cost_s = 0.0 if self.goes_on else float(self._times_s[min(tick, len(self._times_s) - 1)])
+        # 1e-9 makes seven periods seven ticks, although 0.07 / 0.01 is above 7 in float64.
+        self.counts_from = tick + ceil(cost_s / period_s - 1e-9)
+        self._action = deepcopy(action)  # the controller may use its arrays again
+        self._acts += 1
+
+    def put_into(self, answers: LaneAnswers) -> Action:
+        """Copy the answer into ``answers`` and return its action."""
+        for column, next_column in zip(answers.columns, self.answers.columns, strict=True):
+            column[:] = next_column
+        self.counts_from = None
+        return self._action
 
 
 @lru_cache

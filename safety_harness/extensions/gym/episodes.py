@@ -12,6 +12,7 @@ from safety_harness.admission.spaces import MAX_REJECTION_RATIO, why_refused
 from safety_harness.base.exceptions import InadmissibleError, InputError
 from safety_harness.base.seeds import Branch
 from safety_harness.base.seeds import seed as leaf
+from safety_harness.base.settings import DecisionTimes
 from safety_harness.cell.simulation.worlds import WorldEntry
 from safety_harness.scenario.model import NO_AVOIDER, Scenario
 from safety_harness.scenario.read import read_scenario
@@ -77,6 +78,10 @@ class Episodes:
         if scenario.shield is not None:
             expected = "no shield, since an agent must learn without its help"
             place = scenario.place("shield")
+            raise InadmissibleError(place=place, expected=expected, got="one")
+        if isinstance(scenario.settings.avoidance.decision_time, DecisionTimes):
+            expected = "no decision time, since an agent's action counts in its own tick"
+            place = scenario.place("settings.avoidance.decision time")
             raise InadmissibleError(place=place, expected=expected, got="one")
         checked = check(replace(scenario, controller=OUTSIDE, avoider=NO_AVOIDER))
         self._world.refuse(scenario)

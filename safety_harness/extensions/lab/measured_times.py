@@ -1,24 +1,34 @@
-"""The answer times of an avoider, measured on this machine, as a profile for scenarios."""
+"""The answer times of an avoider or a controller, measured on this machine, as a profile for scenarios."""
 
 from __future__ import annotations
 
 import os
 import platform
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.admission.admit import FIRST_ANSWER_S, answers_at_first, first_question
-from safety_harness.admission.avoiders import avoider_sha256, resolve_avoider, scenario_of_avoider
+from safety_harness.admission.admit import FIRST_ANSWER_S, Admitter, answers_at_first, first_question
+from safety_harness.admission.avoiders import (
+    avoider_sha256,
+    resolve_avoider,
+    scenario_of_avoider,
+    with_avoider,
+)
+from safety_harness.admission.driving import named_system
+from safety_harness.admission.trial import run_trial
 from safety_harness.base.exceptions import InadmissibleError, NoAnswerError, Place
 from safety_harness.base.seeds import Branch, generator
-from safety_harness.base.settings import DEFAULTS, DecisionTimes, Measured
+from safety_harness.base.settings import DEFAULTS, DecisionCost, DecisionTimes, Measured
 from safety_harness.cell.avoidance.asking import Question, ask
 from safety_harness.cell.avoidance.avoider import Avoider
+from safety_harness.cell.simulation.worlds import KINEMATIC
 from safety_harness.scenario.fields import is_sentence
+from safety_harness.scenario.model import Driver, Scenario
 from safety_harness.scenario.references import file_and_name
+from safety_harness.seams.contract import acts_per_answer_of
 
 QUANTILES = 101  # from the quickest answer to the slowest
 AROUND_M = 0.15  # half the box about the nominal hand and the desired TCP, on each axis
@@ -26,7 +36,7 @@ AROUND_M = 0.15  # half the box about the nominal hand and the desired TCP, on e
 
 @dataclass(frozen=True, eq=False)
 class MeasuredTimes:
-    """The times (n,) of an avoider's answers [s], the number of faults, and the record of the measurement."""
+    """The times (n,) of answers [s], the number of faults, and the record of the measurement."""
 
     avoider_name: str
     times_s: NDArray[np.float64]
@@ -70,6 +80,37 @@ def measured_times(reference: str, questions: int, seed: int) -> MeasuredTimes:
     own = (Path(file).name + (f":{name}" if name else "")) if file else reference
     measured = Measured(avoider=own, sha256=avoider_sha256(scenario), machine=machine(), questions=questions)
     return MeasuredTimes(avoider.name, times_s, faults, measured)
+
+
+def measured_controller(reference: str, scenario: Scenario, answers: int) -> MeasuredTimes:
+    """Return the measured times of a controller's answers, in runs of ``scenario`` in the kinematic world.
+
+    A run counts as one question after another, although its answers cost no simulated time.
+
+    Args:
+        reference: The controller.
+        scenario: The scenario, whose seed is that of the first run.
+        answers: The least number of answers.
+
+    Raises:
+        InadmissibleError: The controller does not exist, or the scenario cannot be used.
+        ControllerError: The controller fails in a run.
+
+    """
+    unhurried = replace(scenario.settings.avoidance, decision_time=DecisionCost.AS_DECLARED)
+    settings = replace(scenario.settings, avoidance=unhurried)
+    driven, admitter = with_avoider(replace(scenario, settings=settings), Driver(reference)), Admitter()
+    times_s: list[float] = []
+    while len(times_s) < answers:
+        admitted = admitter.admit(replace(driven, seed=driven.seed + len(times_s)))
+        assert admitted.driver is not None
+        trace = run_trial(admitted, world=KINEMATIC)
+        times_s += trace.answer_s[:: acts_per_answer_of(admitted.driver.controller)].tolist()
+    component = named_system(driven).tested
+    measured = Measured(
+        avoider=component.name, sha256=component.sha256, machine=machine(), questions=len(times_s)
+    )
+    return MeasuredTimes(component.name, np.array(times_s), 0, measured)
 
 
 def machine() -> str:

@@ -76,7 +76,7 @@ class Ingredient(Enum):
 
 
 # A user's controller replaces the servo, so changes of these ingredients have no effect.
-OF_THE_SERVO = frozenset({Ingredient.AVOIDER, Ingredient.DEADLINE, Ingredient.GATE, Ingredient.FALLBACK})
+OF_THE_SERVO = frozenset({Ingredient.AVOIDER, Ingredient.GATE, Ingredient.FALLBACK})
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -244,7 +244,7 @@ def _in_a_tick(system: Altered) -> Altered:
     """
     on_time, settings = system.without(AvoiderLate), system.scenario.settings
     declared = settings.avoidance.decision_time is DecisionCost.AS_DECLARED
-    if on_time is system and declared and decision_time_of(system.avoider) == 0.0:
+    if on_time is system and declared and (system.scenario.driven or decision_time_of(system.avoider) == 0.0):
         return system
     tick = DecisionTimes(quantiles_s=(settings.clock.control_period_s,))
     return setting("avoidance", lambda s: {"decision_time": tick})(on_time)

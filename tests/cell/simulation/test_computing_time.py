@@ -198,7 +198,7 @@ def test_a_profile_is_that_of_the_avoider_that_is_asked() -> None:
     own = Measured(avoider="opposite pose", sha256="", machine="a machine", questions=100)
     admit(visit(costing(drawn_from(0.0, 0.01, measured=own))))
     for wrong in (replace(own, avoider="nearest candidate"), replace(own, sha256="ab")):
-        with pytest.raises(InadmissibleError, match="a profile of the avoider opposite pose"):
+        with pytest.raises(InadmissibleError, match="a profile of opposite pose"):
             admit(visit(costing(drawn_from(0.0, 0.01, measured=wrong))))
 
 

@@ -10,6 +10,7 @@ import pytest
 from examples import VISIT, TowardsTheHand, hand, scenario
 
 from safety_harness.admission.admit import Admitted, admit
+from safety_harness.admission.trial import run_kinematic
 from safety_harness.base.exceptions import InadmissibleError
 from safety_harness.base.settings import DEFAULTS, DecisionTimes, GateKind, Settings
 from safety_harness.cell.avoidance.measures import optimum_in_base_m
@@ -231,6 +232,16 @@ def test_nothing_of_the_servo_is_tried_of_another_controller() -> None:
     tried = {change.ingredient for change in CHANGES if change.on(system) is not None}
     assert not tried & {Ingredient.AVOIDER, Ingredient.DEADLINE, Ingredient.GATE, Ingredient.FALLBACK}
     assert Ingredient.HAND in tried
+
+
+def test_answers_that_take_a_controller_long_are_blamed() -> None:
+    late = with_avoidance(decision_time=DecisionTimes(quantiles_s=(0.4,)))
+    driven = replace(scenario(VISIT), controller="stop when near", avoider=NO_AVOIDER)
+    cases = [replace(driven, settings=settings) for settings in (DEFAULTS, late)]
+    near_m = [float(run_kinematic(admit(case)).ticks["hand_distance_m"].min()) for case in cases]
+    assert near_m[0] > near_m[1] + 0.005
+    found = only(admit(cases[1]), f"hand distance never below {500.0 * sum(near_m):.3f} mm")
+    assert found.cause == (Ingredient.DEADLINE,)
 
 
 def test_drives_that_lag_are_blamed() -> None:

@@ -26,7 +26,16 @@ from safety_harness.cell.controller.out_of_process.messages import (
     to_the_process,
 )
 from safety_harness.cell.controller.python_file import controller_in
-from safety_harness.seams.contract import DECISIONS, IMAGE, Action, Image, UserController, reports_of, sees_of
+from safety_harness.seams.contract import (
+    DECISIONS,
+    IMAGE,
+    Action,
+    Image,
+    UserController,
+    acts_per_answer_of,
+    reports_of,
+    sees_of,
+)
 from safety_harness.seams.isolation.child import ServedKind, serve
 from safety_harness.seams.isolation.messages import MOST_WORDS, Make
 from safety_harness.seams.rows import layout_of, unpacked
@@ -50,7 +59,8 @@ class _Controllers(ServedKind):
         sees, reports = sees_of(controller), reports_of(controller)
         self.reports = reports
         many = self.another is not None and IMAGE not in sees and DECISIONS not in reports
-        return MadeController(PROTOCOL, controller.name, sees, reports, many, answers_many(controller))
+        together, acts = answers_many(controller), acts_per_answer_of(controller)
+        return MadeController(PROTOCOL, controller.name, sees, reports, many, together, acts)
 
     def answers(self, message: Reset | ActOnRows) -> Iterator[Ready | SaidRow | SaidRows]:
         """Yield the answer to ``message``, a single one."""

@@ -102,11 +102,12 @@ class MadeController(Welcome, tag="made", forbid_unknown_fields=True):
     """The description of a controller by our own process.
 
     ``many`` states whether the process can make a controller for each of many lanes. ``together`` states
-    whether one call of the file answers for all lanes.
+    whether one call of the file answers for all lanes. ``acts_per_answer`` is the controller's.
     """
 
     many: bool = False
     together: bool = False
+    acts_per_answer: int = 1
 
 
 class SaidDecision(Struct, forbid_unknown_fields=True):

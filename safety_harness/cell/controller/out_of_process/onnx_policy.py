@@ -75,6 +75,11 @@ class OnnxPolicy:
         self._joints = 0
         self._actions: list[Action] = []  # still to be carried out
 
+    @property
+    def acts_per_answer(self) -> int:
+        """The number of calls of ``act`` for which an answer of the file lasts."""
+        return self._hold * (self._horizon or 1)
+
     def reset(self, *, settings: Settings, arm: DrivenArm, start: Start, seed: int) -> None:
         """Begin an episode: set the policy's memory to zeros."""
         self._joints, self._actions = len(arm.joint_names), []

@@ -66,6 +66,11 @@ class RemoteController:
         """Whether one call of the controller's process answers for many episodes."""
         return isinstance(self._said, MadeController) and self._said.together
 
+    @property
+    def acts_per_answer(self) -> int:
+        """The number of calls of ``act`` for which an answer lasts; 1 for a program."""
+        return self._said.acts_per_answer if isinstance(self._said, MadeController) else 1
+
     def _another(self) -> RemoteController:
         """Return a controller for the next lane of the same process."""
         copied = copy(self)

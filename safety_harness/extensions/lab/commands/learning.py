@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from types import FunctionType
@@ -12,11 +13,11 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option, Typer
 
-from safety_harness.base.exceptions import InadmissibleError, ModelError, NoAnswerError
+from safety_harness.base.exceptions import ControllerError, InadmissibleError, ModelError, NoAnswerError
 from safety_harness.base.extension_points import ExtensionPoint, names_of, part_named
 from safety_harness.base.extras import LEARNING, ONNX
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED, document, next_step, result, say
-from safety_harness.cli.options import Seed, command
+from safety_harness.cli.options import OfController, Seed, command
 
 if TYPE_CHECKING:
     from safety_harness.extensions.lab.learning.checkpoint import Epoch
@@ -255,44 +256,49 @@ def metrics(
     return AS_EXPECTED
 
 
-@command(
-    commands,
-    "time",
-    interrupted="interrupted: no file was written",
-    then="safety-harness evaluate {avoider}",
-)
-def time_avoider(
+@command(commands, "time", interrupted="interrupted: no file was written")
+def time_answers(
     avoider: Annotated[
-        str,
+        str | None,
         Argument(
             help="Any avoider: a shipped one by name, FILE.py:NAME, FILE.safetensors or FILE.onnx.",
             metavar="AVOIDER",
+            show_default=False,
         ),
-    ],
+    ] = None,
+    controller: OfController = None,
     out: Annotated[Path | None, Option(help="Also a profile for scenarios, to this file *.json.")] = None,
-    questions: Annotated[int, Option(help="Number of questions.", min=100, max=1_000_000)] = 1_000,
+    questions: Annotated[int, Option(help="Least number of answers.", min=100, max=1_000_000)] = 1_000,
     seed: Seed = 0,
+    scenario: Annotated[str, Option(help="What a controller drives.", metavar="FILE")] = "shipped:first-run",
 ) -> int:
-    """Measure answer times of an avoider here: p50, p99, max.
+    """Measure answer times of an avoider or controller here: p50, p99, max.
 
     A scenario can name the profile (settings: {avoidance: {decision time:
-    FILE.json}}).  Then it draws the simulated time of each decision from it.  A
+    FILE.json}}).  Then it draws the simulated time of each answer from it.  A
     Python file is executed.
 
     Exit code 0: the times are printed.
-    Exit code 2: bad input, or an avoider that does not answer.
+    Exit code 2: bad input, or a program that does not answer.
     Exit code 130: interrupted.
     """
     from safety_harness.base.whole_file import write_text
-    from safety_harness.extensions.lab.measured_times import measured_times
+    from safety_harness.extensions.lab.measured_times import measured_controller, measured_times
     from safety_harness.report.words import milliseconds_words
     from safety_harness.scenario.decision_times import profile_text
+    from safety_harness.scenario.read import read_scenario
 
     if out is not None and out.suffix != ".json":
         raise InadmissibleError.of_option("--out", "a file *.json", out.name)
+    if (avoider is None) == (controller is None):
+        got = "neither" if avoider is None else "both"
+        raise InadmissibleError.of_option("AVOIDER", "an avoider, or --controller", got)
     try:
-        times = measured_times(avoider, questions, seed)
-    except NoAnswerError as error:
+        if controller is None:
+            times = measured_times(str(avoider), questions, seed)
+        else:
+            times = measured_controller(controller, replace(read_scenario(scenario), seed=seed), questions)
+    except (NoAnswerError, ControllerError) as error:
         say(f"error: {error}; no file was written")
         return BAD_INPUT
     if out is not None:
@@ -302,18 +308,20 @@ def time_avoider(
     document(
         avoider=times.measured.avoider,
         **dict(zip(("p50_s", "p99_s", "max_s"), quantiles_s, strict=True)),
-        questions=questions,
+        questions=times.measured.questions,
         faults=times.faults,
         machine=times.measured.machine,
         profile=out,
     )
-    who = f"{times.measured.avoider} ({times.avoider_name})"
-    result(f"{who}: p50 {p50}, p99 {p99}, max {most}, of {questions:,} answers")
+    who = times.measured.avoider + ("" if controller else f" ({times.avoider_name})")
+    result(f"{who}: p50 {p50}, p99 {p99}, max {most}, of {times.measured.questions:,} answers")
     result(f"on {times.measured.machine}")
     if times.faults:
         say(f"note: {times.faults} of them were faults, no usable answers")
     if out is not None:
         say(f"profile: {out}; in a scenario: settings: {{avoidance: {{decision time: {out.name}}}}}")
+    if avoider is not None:
+        next_step(f"safety-harness evaluate {shlex.quote(avoider)}")
     return AS_EXPECTED
 
 

@@ -17,7 +17,7 @@ from safety_harness.cell.controller.out_of_process.onnx_policy import OnnxPolicy
 from safety_harness.cell.robot.robots import arm_model
 from safety_harness.report.run_job import run
 from safety_harness.scenario.robots import Robot
-from safety_harness.seams.contract import Move, Seen, Stop
+from safety_harness.seams.contract import Move, Seen, Stop, acts_per_answer_of
 from safety_harness.seams.rows import SeenLayout, seen_dtype
 from tests.cell.controller.out_of_process.programs import START
 
@@ -120,6 +120,7 @@ def test_a_chunk_is_carried_out_up_to_its_horizon_then_the_policy_answers_again(
     xs_m = [0.1, 9.0, 9.0, 9.0, 0.2, 9.0, 9.0, 9.0]
     speeds = [moved(made.act(seen(made.sees, (x_m, 0.0, 0.0))))[0] for x_m in xs_m]
     assert speeds == [0.1, 0.1, 0.2, 0.2, 0.2, 0.2, 0.4, 0.4]
+    assert acts_per_answer_of(made) == 4
     made.act(seen(made.sees, (0.5, 0.0, 0.0)))
     made.reset(settings=DEFAULTS, arm=arm_of(arm_model(Robot.UR10)), start=START, seed=1)
     assert moved(made.act(seen(made.sees, (0.3, 0.0, 0.0))))[0] == 0.3
