@@ -187,6 +187,8 @@ def main() -> None:
     """Run the command line; explain an error of the harness without a traceback."""
     second = SecondProcess()
     watchers.extend((second, CompilationLine(sys.stderr, second.finished_part)))
+    if sys.argv[1:2] == ["run"]:  # which reads and admits its scenarios before it compiles anything
+        second.start_if_cold()
     if foreign := foreign_files():
         say(f"warning: {foreign}")
     columns = columns_of(sys.stdout) or 80

@@ -80,9 +80,14 @@ class SecondProcess:
 
     def __call__(self, now: Compilation) -> None:
         """Start the process at the first call, if it can help; this method is one of the ``watchers``."""
+        if not now.unwritable:
+            self.start_if_cold()
+
+    def start_if_cold(self) -> None:
+        """Start the process unless this was asked before, or the cache has the code of a control cycle."""
         if not self._checked:
             self._checked = True
-            if sys.executable and not now.unwritable and _is_cold():
+            if sys.executable and _is_cold():
                 self._process = _start()
 
     def finished_part(self) -> tuple[int, int] | None:

@@ -74,6 +74,13 @@ def test_it_starts_once(starts: list[int]) -> None:
     assert starts == [1]
 
 
+def test_what_will_compile_starts_it_before_it_reads_anything(starts: list[int]) -> None:
+    watcher = SecondProcess()
+    watcher.start_if_cold()
+    watcher(COMPILING)
+    assert starts == [1]
+
+
 def test_it_does_not_start_where_code_is_there(starts: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compile_ahead, "_is_cold", lambda: False)
     SecondProcess()(COMPILING)
