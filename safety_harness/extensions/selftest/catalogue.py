@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from safety_harness.extensions.selftest.avoider_faults import AVOIDER_FAULTS
+from safety_harness.extensions.selftest.filter_faults import FILTER_FAULTS
 from safety_harness.extensions.selftest.gate_faults import GATE_FAULTS
 from safety_harness.extensions.selftest.harmless import HARMLESS
 from safety_harness.extensions.selftest.motion_faults import MOTION_FAULTS
@@ -18,6 +19,7 @@ FAULTS = (
     *SERVOING_FAULTS,
     *MOTION_FAULTS,
     *SHIELD_FAULTS,
+    *FILTER_FAULTS,
     *TIMING_FAULTS,
 )
 EVERY = (*FAULTS, *HARMLESS)

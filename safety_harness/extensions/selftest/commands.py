@@ -21,6 +21,10 @@ def selftest(
     ] = "quick",
     avoider: OfAvoider = None,
     controller: OfController = None,
+    safety_filter: Annotated[
+        str | None,
+        Option(help="A safety filter for every scenario: FILE.py:NAME or a program.", metavar="FILTER"),
+    ] = None,
     scenarios: Annotated[
         Path, Option(help="Folder with scenario files and spaces/, to try faults on.")
     ] = Path("shipped:scenarios"),
@@ -37,6 +41,7 @@ def selftest(
     and the smallest caught magnitude. With --avoider or --controller the
     command seeds the faults into yours. Faults of avoider, gate and servoing
     apply only if your system has these parts; the table marks the rest.
+    With --safety-filter the faults of a filter take the place of our shield's.
     Harmless changes run too, and must raise no alarm. The command keeps the
     results so far, whatever its exit code.
 
@@ -74,10 +79,11 @@ def selftest(
     again = ["safety-harness", "selftest", "--profile", profile, "--scenarios", str(scenarios)]
     tested = one_of(avoider, controller)
     again += [option_of(tested), tested] if tested is not None else []
+    again += ["--safety-filter", safety_filter] if safety_filter is not None else []
     again += ["--fault", fault] if fault is not None else []
     again += ["--out", str(display_path(out)), "--jobs", str(jobs)]
     try:
-        plan = SelfTestPlan(profile_named(profile), scenarios, tested)
+        plan = SelfTestPlan(profile_named(profile), scenarios, tested, safety_filter)
         if jobs < 1:
             raise SettingsError.of_option("--jobs", "a number of at least 1", str(jobs))
         numbers = numbers_of(fault)

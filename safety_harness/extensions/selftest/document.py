@@ -62,6 +62,7 @@ class SelfTestRun:
     source_hash: str
     platform: str
     generated_at: datetime
+    safety_filter: str | None = None
     remarks: tuple[str, ...] = ()
     interrupted: bool = False
 

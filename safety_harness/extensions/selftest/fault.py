@@ -67,6 +67,7 @@ class Precondition:
     bring_about: Callable[[ChangedSystem], ChangedSystem]
 
 
+BEHIND_A_SHIELD = "behind a shield alone"
 AS_USUAL = Precondition("as it is", lambda system: system)
 
 
@@ -76,7 +77,7 @@ class SeededFault:
 
     ``seed_into`` takes a sound system and a magnitude of the ``ladder``, and returns the faulty system. Both
     systems run under the precondition ``circumstance``. ``of_spread`` states that the fault does not apply to
-    an avoider without a spread.
+    an avoider without a spread, ``of_filter`` that it applies only to a system with a user's safety filter.
 
     ``harmless`` is the reason, stated beforehand, why the change cannot matter; a violation that it causes is
     a false alarm. ``limit`` is the reason, stated beforehand, why no claim can catch the fault.
@@ -89,6 +90,7 @@ class SeededFault:
     ladder: SeverityLevels = ONLY
     circumstance: Precondition = AS_USUAL
     of_spread: bool = False
+    of_filter: bool = False
     harmless: str = ""
     limit: str = ""
 
@@ -139,6 +141,11 @@ def faults_in(file: Mapping[str, object]) -> tuple[SeededFault, ...]:
 def anywhere(seeds: Seeds) -> Seeds:
     """Seed a fault that is a function of the whole system."""
     return seeds
+
+
+def minds_nobody(records: ControllerRecords) -> None:
+    """Let the visual servo ignore all hands."""
+    records.parameters["critical_distance_m"] = 0.0
 
 
 def known(edit: Callable[[ControllerRecords, float], None]) -> Seeds:

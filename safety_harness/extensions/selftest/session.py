@@ -98,6 +98,7 @@ class SelfTestSession:
         return SelfTestRun(
             profile=self.plan.profile.name,
             avoider=self.plan.avoider,
+            safety_filter=self.plan.safety_filter,
             scenarios=str(self.plan.folder),
             episodes=len(self._episodes),
             planned=len(self.numbers),

@@ -9,7 +9,15 @@ from dataclasses import replace
 
 from safety_harness.base.settings import HandSensorKind
 from safety_harness.cell.controller.cycle import ControllerRecords
-from safety_harness.extensions.selftest.fault import Precondition, faults_in, known, of_motion, seeded
+from safety_harness.extensions.selftest.fault import (
+    BEHIND_A_SHIELD,
+    Precondition,
+    faults_in,
+    known,
+    minds_nobody,
+    of_motion,
+    seeded,
+)
 from safety_harness.extensions.selftest.system import ChangedSystem
 from safety_harness.scenario.shield import Shield
 
@@ -25,15 +33,11 @@ def _alone(system: ChangedSystem) -> ChangedSystem:
     if scenario.settings.hand_sensor.kind is HandSensorKind.EYE_IN_HAND:
         return system
     shielded = replace(scenario, shield=Shield(uncertainty_m=0.04))
-
-    def minds_nobody(records: ControllerRecords) -> None:
-        records.parameters["critical_distance_m"] = 0.0
-
     behind = replace(system, admitted=replace(system.admitted, scenario=shielded))
     return behind.with_records(minds_nobody)
 
 
-ALONE = Precondition("behind a shield alone", _alone)
+ALONE = Precondition(BEHIND_A_SHIELD, _alone)
 
 
 @of_motion("shield looks elsewhere", "it sees hands in wrong places and misses the real hands", ALONE)

@@ -6,11 +6,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from safety_harness.admission.admit import Admitted, admit
-from safety_harness.admission.avoiders import with_avoider
+from safety_harness.admission.avoiders import with_avoider, with_filter
 from safety_harness.admission.spaces import draw_admissible
 from safety_harness.base.exceptions import InputError, Place, ScenarioError, near_miss
 from safety_harness.base.seeds import Branch, seed
@@ -78,11 +78,15 @@ def profile_named(name: str) -> SelfTestProfile:
 
 @dataclass(frozen=True)
 class SelfTestPlan:
-    """The profile of a self-test, the folder of scenarios, and the ``avoider`` that replaces their own."""
+    """The profile of a self-test, the folder of scenarios, and the ``avoider`` that replaces their own.
+
+    ``safety_filter`` is the user's filter that each scenario gets, if any.
+    """
 
     profile: SelfTestProfile
     folder: Path
     avoider: str | None
+    safety_filter: str | None = None
 
     def episodes(self) -> tuple[Admitted, ...]:
         """Return the episodes, at least one, in the order in which they are tried.
@@ -106,11 +110,11 @@ class SelfTestPlan:
             raise gathered.errors[0]
         ordered = sorted(gathered.scenarios, key=_rank)
         telling = [scenario for scenario in ordered if scenario.name in TELLING]
-        episodes = list(_admitted(telling if telling and not self.profile.others else ordered, self.avoider))
+        episodes = list(self._admitted(telling if telling and not self.profile.others else ordered))
         spaces = [read_space(path) for path in sorted((folder / "spaces").glob("*.yaml"))]
         for number, space in enumerate(spaces):
             drawn = draw_admissible(space, seed(0, Branch.SELFTEST, 0, number), self.profile.draws)
-            episodes += _admitted(drawn.scenarios, self.avoider)
+            episodes += self._admitted(drawn.scenarios)
         if not episodes:
             raise ScenarioError(
                 place=Place(field="--scenarios"),
@@ -119,20 +123,22 @@ class SelfTestPlan:
             )
         return tuple(episodes)
 
+    def _admitted(self, scenarios: Iterable[Scenario]) -> Iterator[Admitted]:
+        """Admit and yield the scenarios that the kinematic world can run."""
+        for scenario in scenarios:
+            try:
+                KINEMATIC.refuse(scenario)
+            except InputError:
+                continue
+            tested = scenario if self.avoider is None else with_avoider(scenario, self.avoider)
+            if self.safety_filter is not None:  # which takes the place of a shield
+                tested = with_filter(replace(tested, shield=None), self.safety_filter)
+            yield admit(tested)
+
 
 def _rank(scenario: Scenario) -> tuple[int, float, str]:
     place = TELLING.index(scenario.name) if scenario.name in TELLING else len(TELLING)
     return place, max(scenario.duration_s, LONG_S), scenario.name
-
-
-def _admitted(scenarios: Iterable[Scenario], avoider: str | None) -> Iterator[Admitted]:
-    """Admit and yield the scenarios that the kinematic world can run."""
-    for scenario in scenarios:
-        try:
-            KINEMATIC.refuse(scenario)
-        except InputError:
-            continue
-        yield admit(scenario if avoider is None else with_avoider(scenario, avoider))
 
 
 def claims_of(scenario: Scenario) -> tuple[Claim, ...]:

@@ -21,6 +21,7 @@ from safety_harness.cell.avoidance.avoider import Avoider
 from safety_harness.cell.avoidance.gate import Gate
 from safety_harness.cell.controller.controller import AvoidingServo, Controller
 from safety_harness.cell.controller.cycle import ControllerRecords
+from safety_harness.cell.controller.filtered import FilterCalls
 from safety_harness.cell.simulation.simulate import INTERRUPTED, simulate
 from safety_harness.cell.simulation.world import World
 from safety_harness.cell.simulation.worlds import KINEMATIC, WorldEntry
@@ -39,6 +40,7 @@ class ChangedSystem:
     edits: tuple[Callable[[AvoidingServo], None], ...] = ()
     pilot: Callable[[AvoidingServo], Controller] | None = None
     worlds: tuple[Callable[[Any], World], ...] = ()
+    filter_edits: tuple[Callable[[FilterCalls], None], ...] = ()
 
     def with_avoider(self, wrap: Callable[[Avoider], Avoider]) -> ChangedSystem:
         """Return the system with the avoider that ``wrap`` makes around its own."""
@@ -90,6 +92,8 @@ class ChangedSystem:
             controller = self._servo()
         if admitted.safety_filter is not None:
             controller = admitted.filtered(controller, admitted.safety_filter.make())
+            for edit in self.filter_edits:
+                edit(controller.calls)
         with world.open(scenario, admitted.arm, admitted.joint_position_rad) as episode:
             for wrap in self.worlds:
                 episode = wrap(episode)
