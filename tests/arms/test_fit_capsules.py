@@ -103,7 +103,8 @@ def test_an_arm_of_the_shipped_ones_has_primitives_that_its_capsules_hold(name: 
 
 
 def test_a_link_can_be_fitted_in_another_process(small: ArmModel, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "STARTS", 1)
+    for name, few in (("STARTS", 1), ("MOST_CAPSULES", 2), ("ROUNDS", 3), ("POLISH_ROUNDS", 1)):
+        monkeypatch.setattr(module, name, few)
     one = replace(small, links=small.links[2:3])
 
     def elsewhere(function: Any, links: Any) -> list[Any]:  # as a pool does
@@ -115,7 +116,8 @@ def test_a_link_can_be_fitted_in_another_process(small: ArmModel, monkeypatch: p
 def test_a_seed_decides_what_is_fitted(small: ArmModel) -> None:
     surface = link_surface(small.links[2], PIECE_M)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "STARTS", 2)
+        patch.setattr(module, "STARTS", 1)
+        patch.setattr(module, "MOST_CAPSULES", 2)
         once, again, other = (
             fit_link(surface, np.random.default_rng(seed)) for seed in ((0, 1), (0, 1), (5, 1))
         )
@@ -140,7 +142,7 @@ def test_a_bar_gets_one_capsule_and_an_l_two_or_more_and_the_excess_is_told() ->
     whole = long_l()
     bar = LinkShapes(link="bar", index=0, collision=whole.collision[:1], visual=())
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "STARTS", 3)
+        patch.setattr(module, "STARTS", 2)
         counts, means = [], []
         for link in (bar, whole):
             surface = link_surface(link, PIECE_M)

@@ -2,11 +2,85 @@
 
 from __future__ import annotations
 
+import json
+import os
 import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from toy_package import SHORT, WITHOUT_WINGS, called, install
+
+# A fresh process takes a second to load what each of these commands needs.  This one has it loaded, and each
+# command is done by a process that forks from it, so that none finds anything of another one.
+FORKS = """
+import json
+import os
+import sys
+import traceback
+from safety_harness import WORLDS, admit, judge, load_trace, read_scenario, run_trial
+from safety_harness.__main__ import main
+from safety_harness.cli.explain import explain_claims
+import safety_harness.cli.main
+for line in sys.stdin:
+    folder, code, words = json.loads(line)
+    if (child := os.fork()) == 0:
+        os.chdir(folder)
+        for stream, name in ((1, "stdout"), (2, "stderr")):
+            os.dup2(os.open(name, os.O_CREAT | os.O_WRONLY | os.O_TRUNC), stream)
+        sys.argv, status = ["safety-harness", *words], 0
+        try:
+            exec(code, {"__name__": "__main__"}) if code else main()
+        except SystemExit as ended:
+            status = ended.code or 0
+        except BaseException:
+            traceback.print_exc()
+            status = 1
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
+"""
+
+
+class Forking:
+    """What does commands and code in processes that have everything loaded."""
+
+    def __init__(self, process: subprocess.Popen[str], folder: Path) -> None:
+        self.process, self.folder = process, folder
+
+    def called(
+        self, *words: str, code: str = "", folder: Path | None = None
+    ) -> subprocess.CompletedProcess[str]:
+        place = folder or self.folder
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        self.process.stdin.write(json.dumps([str(place), code, words]) + "\n")
+        self.process.stdin.flush()
+        answer = self.process.stdout.readline()
+        assert answer, "the process ended"
+        stdout, stderr = ((place / name).read_text() for name in ("stdout", "stderr"))
+        return subprocess.CompletedProcess(list(words), int(answer), stdout, stderr)
+
+
+@contextmanager
+def forking(folder: Path, *paths: str, first: str = "") -> Iterator[Forking]:
+    path = os.pathsep.join([*paths, *filter(None, [os.environ.get("PYTHONPATH")])])
+    process = subprocess.Popen(
+        [sys.executable, "-c", first + FORKS],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": path},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    with process:
+        yield Forking(process, folder)
+        assert process.stdin is not None
+        process.stdin.close()
 
 
 @pytest.fixture(scope="module")
@@ -15,13 +89,27 @@ def toy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return install(tmp_path_factory.mktemp("toy"))
 
 
+@pytest.fixture(scope="module")
+def loaded(toy: Path) -> Iterator[Forking]:
+    """Where that package is installed."""
+    with forking(toy, str(toy)) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def without_wings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Forking]:
+    folder = tmp_path_factory.mktemp("core")
+    with forking(folder, first=WITHOUT_WINGS.partition("from safety_harness")[0]) as made:
+        yield made
+
+
 def test_the_toys_command_is_there_and_nothing_else_is_loaded(toy: Path) -> None:
     done = called(toy, "toy")
     assert (done.returncode, done.stdout, done.stderr) == (0, "the toy is there\n", "")
 
 
-def test_the_help_has_the_toys_command_and_names_those_that_cannot_be_used(toy: Path) -> None:
-    done = called(toy, "--help")
+def test_the_help_has_the_toys_command_and_names_those_that_cannot_be_used(loaded: Forking) -> None:
+    done = loaded.called("--help")
     assert done.returncode == 0
     assert re.search(r"─ Toy 1.0 ─.*\n. toy  +Say that the toy is there", done.stdout)
     warnings = [line for line in done.stderr.splitlines() if line.startswith("warning: skipped")]
@@ -34,15 +122,15 @@ def test_the_help_has_the_toys_command_and_names_those_that_cannot_be_used(toy: 
 
 
 @pytest.mark.parametrize("command", ["gone", "greedy", "wrong"])
-def test_a_command_that_cannot_be_loaded_is_no_command(toy: Path, command: str) -> None:
-    done = called(toy, command)
+def test_a_command_that_cannot_be_loaded_is_no_command(loaded: Forking, command: str) -> None:
+    done = loaded.called(command)
     assert done.returncode == 2
     assert f"skipped safety_harness.commands {command} of toy 1.0" in done.stderr
     assert "No such command" in done.stderr
 
 
-def test_no_part_replaces_a_command(toy: Path) -> None:
-    done = called(toy, "run", "--help")
+def test_no_part_replaces_a_command(loaded: Forking) -> None:
+    done = loaded.called("run", "--help")
     assert "Run scenario files" in done.stdout
     assert "taken over" not in done.stdout
 
@@ -59,31 +147,33 @@ finally:
     assert called(toy, "--version", code=code).stdout.endswith("\n[]\n")
 
 
-def test_the_toys_files_are_checked_explained_and_called_by_their_name(toy: Path) -> None:
+def test_the_toys_files_are_checked_explained_and_called_by_their_name(toy: Path, loaded: Forking) -> None:
     (toy / "mine.yaml").write_text("toy: a cart\n")
     (toy / "bad.yaml").write_text("toy: broken\n")
-    done = called(toy, "validate", "mine.yaml")
+    done = loaded.called("validate", "mine.yaml")
     assert (done.returncode, done.stdout) == (0, "ok mine.yaml: a toy, with two wheels\n")
-    bad = called(toy, "validate", "bad.yaml")
+    bad = loaded.called("validate", "bad.yaml")
     assert bad.returncode == 2
     assert "expected a toy that is whole" in bad.stderr
-    assert called(toy, "explain", "mine.yaml").stdout == "mine.yaml has two wheels\n"
-    run = called(toy, "run", "mine.yaml")
+    assert loaded.called("explain", "mine.yaml").stdout == "mine.yaml has two wheels\n"
+    run = loaded.called("run", "mine.yaml")
     assert run.returncode == 2
     assert "a toy" in run.stderr
     assert "safety-harness toy mine.yaml" in run.stderr
 
 
-def test_no_package_takes_the_place_of_files_that_the_core_reads(toy: Path) -> None:
+def test_no_package_takes_the_place_of_files_that_the_core_reads(toy: Path, loaded: Forking) -> None:
     (toy / "own.yaml").write_text(
         SHORT.partition("claims:")[0] + "claims:\n  trace finite and monotone: holds\n"
     )
-    done = called(toy, "validate", "own.yaml")
+    done = loaded.called("validate", "own.yaml")
     assert "with two wheels" not in done.stdout
     assert done.stdout.startswith("ok own.yaml: 1 hand")
 
 
-def test_the_toys_claim_signal_world_and_note_are_used_and_evidence_names_them(toy: Path) -> None:
+def test_the_toys_claim_signal_world_and_note_are_used_and_evidence_names_them(
+    toy: Path, loaded: Forking
+) -> None:
     code = """
 from pathlib import Path
 from safety_harness import admit, judge, read_scenario, run_trial, WORLDS
@@ -102,7 +192,7 @@ print("ours is", world_named("exec:true", "--world").load.func.__module__)
 explain_claims(["toy", "distance"])
 """
     (toy / "short.yaml").write_text(SHORT)
-    done = called(toy, code=code)
+    done = loaded.called(code=code)
     assert done.returncode == 0, done.stderr
     assert "always toy height > -1 m: holds" in done.stdout
     assert "toy distance > 30 mm: " in done.stdout
@@ -125,7 +215,7 @@ claims:
 )
 
 
-def test_the_toys_key_is_read_stored_written_and_explained(toy: Path) -> None:
+def test_the_toys_key_is_read_stored_written_and_explained(toy: Path, loaded: Forking) -> None:
     code = """
 from dataclasses import replace
 from pathlib import Path
@@ -141,7 +231,7 @@ without = replace(scenario, extensions=())
 print(without == scenario, "extensions" in write_scenario(without))
 """
     (toy / "keyed.yaml").write_text(KEYED)
-    done = called(toy, code=code)
+    done = loaded.called(code=code)
     pairs = "(('toy', 0.03),)"
     assert done.stdout.splitlines() == [pairs, pairs, "True", "False False"], done.stderr
 
@@ -155,9 +245,9 @@ print(without == scenario, "extensions" in write_scenario(without))
         ("{spoiled: 1}", "a package that adds the entry point spoiled to safety_harness.scenario_keys"),
     ],
 )
-def test_a_key_that_no_package_reads_is_refused(toy: Path, text: str, message: str) -> None:
+def test_a_key_that_no_package_reads_is_refused(toy: Path, loaded: Forking, text: str, message: str) -> None:
     (toy / "other.yaml").write_text(KEYED.replace("{toy: 30 mm}", text))
-    done = called(toy, "validate", "other.yaml")
+    done = loaded.called("validate", "other.yaml")
     assert done.returncode == 2
     assert message in " ".join(done.stderr.split())
 
@@ -170,16 +260,16 @@ def test_a_key_of_a_package_that_is_not_installed_is_refused(tmp_path: Path) -> 
     assert "a key that an installed package adds: there is none" in done.stderr
 
 
-def test_a_key_is_explained_even_beside_one_that_cannot_be_loaded(toy: Path) -> None:
-    done = called(toy, "explain", "toy")
+def test_a_key_is_explained_even_beside_one_that_cannot_be_loaded(loaded: Forking) -> None:
+    done = loaded.called("explain", "toy")
     assert "how wide the wheels are" in done.stdout
     assert "skipped safety_harness.scenario_keys spoiled of toy 1.0" in done.stderr
 
 
-def test_a_space_may_vary_the_toys_key(toy: Path) -> None:
+def test_a_space_may_vary_the_toys_key(toy: Path, loaded: Forking) -> None:
     space = KEYED.replace("scenario: short", "scenario space: wide").replace("30 mm}", "from 10 mm to 20 mm}")
     (toy / "space.yaml").write_text(space)
-    done = called(toy, "sample", "space.yaml", "--count", "2", "--out", "drawn")
+    done = loaded.called("sample", "space.yaml", "--count", "2", "--out", "drawn")
     assert done.returncode == 0, done.stderr
     texts = [file.read_text() for file in sorted((toy / "drawn").glob("*.yaml"))]
     widths = [float(width) for text in texts for width in re.findall(r"toy: (\S+) m\b", text)]
@@ -196,9 +286,9 @@ claims:
 )
 
 
-def test_the_toys_controller_drives_and_its_hash_is_in_the_trace(toy: Path) -> None:
+def test_the_toys_controller_drives_and_its_hash_is_in_the_trace(toy: Path, loaded: Forking) -> None:
     (toy / "driven.yaml").write_text(DRIVEN)
-    done = called(toy, "run", "driven.yaml", "--world", "kinematic", "--out", "driven")
+    done = loaded.called("run", "driven.yaml", "--world", "kinematic", "--out", "driven")
     assert done.returncode == 0, done.stderr
     assert "1 of 1 verdicts as expected" in done.stdout
     code = """
@@ -207,31 +297,33 @@ from safety_harness import load_trace
 tested = load_trace(Path("driven/traces/driven.trace")).system.tested
 print(tested.name, tested.sha256)
 """
-    assert called(toy, code=code).stdout.split() == ["toy", "0" * 64]
-    named = called(toy, "replay", "driven/traces/driven.trace", "--controller", "toy:left")
+    assert loaded.called(code=code).stdout.split() == ["toy", "0" * 64]
+    named = loaded.called("replay", "driven/traces/driven.trace", "--controller", "toy:left")
     assert (named.returncode, "identical" in named.stdout) == (0, True), named.stderr
 
 
-def test_a_controller_that_cannot_be_opened_refuses_the_scenario(toy: Path) -> None:
+def test_a_controller_that_cannot_be_opened_refuses_the_scenario(toy: Path, loaded: Forking) -> None:
     (toy / "locked.yaml").write_text(DRIVEN.replace("toy:left", "toy:locked"))
-    done = called(toy, "run", "locked.yaml", "--world", "kinematic", "--out", "locked")
+    done = loaded.called("run", "locked.yaml", "--world", "kinematic", "--out", "locked")
     assert done.returncode == 2
     assert "RuntimeError: the toy is locked" in " ".join(done.stderr.split())
 
 
-def test_no_package_takes_the_place_of_a_way_to_a_controller_or_of_a_file(toy: Path) -> None:
+def test_no_package_takes_the_place_of_a_way_to_a_controller_or_of_a_file(toy: Path, loaded: Forking) -> None:
     (toy / "mine.py").write_text("class Mine:\n    pass\n")
     for reference, message in (("exec:no-such-program", "no such program"), ("mine.py:Mine", "a method")):
         (toy / "own.yaml").write_text(DRIVEN.replace("toy:left", f'"{reference}"'))
-        done = called(toy, "validate", "own.yaml")
+        done = loaded.called("validate", "own.yaml")
         assert done.returncode == 2
         assert message in " ".join(done.stderr.split())
     assert "skipped safety_harness.controllers exec of toy 1.0: its name is taken" in done.stderr
 
 
-def test_the_toys_section_is_on_the_page_of_a_run_and_one_that_fails_is_left_out(toy: Path) -> None:
+def test_the_toys_section_is_on_the_page_of_a_run_and_one_that_fails_is_left_out(
+    toy: Path, loaded: Forking
+) -> None:
     (toy / "shown.yaml").write_text(SHORT)
-    done = called(toy, "run", "shown.yaml", "--world", "kinematic", "--out", "shown")
+    done = loaded.called("run", "shown.yaml", "--world", "kinematic", "--out", "shown")
     page = (toy / "shown" / "report.html").read_text()
     assert '<h3 id="run-1-added-0">Toy &lt;wheels&gt;</h3>' in page
     assert "least &amp; last" in page
@@ -250,11 +342,13 @@ def test_the_toys_section_is_on_the_page_of_a_run_and_one_that_fails_is_left_out
     ],
     ids=lambda command: command[0],
 )
-def test_the_core_works_where_no_wing_is_installed(command: tuple[str, ...], tmp_path: Path) -> None:
+def test_the_core_works_where_no_wing_is_installed(
+    command: tuple[str, ...], tmp_path: Path, without_wings: Forking
+) -> None:
     (tmp_path / "short.yaml").write_text(
         SHORT.partition("claims:")[0] + "claims:\n  trace finite and monotone: holds\n"
     )
-    done = called(tmp_path, *command, code=WITHOUT_WINGS)
+    done = without_wings.called(*command, folder=tmp_path)
     assert (done.returncode, "warning: skipped" in done.stderr, "Traceback" in done.stderr) == (
         0,
         False,

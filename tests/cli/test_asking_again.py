@@ -65,7 +65,10 @@ def test_run_and_replay_say_how_often_a_function_was_asked(capsys: pytest.Captur
     assert line in shown.err
 
 
-@pytest.mark.parametrize("name", NO_FUNCTIONS)
+@pytest.mark.parametrize(  # run and replay notice each; a search asks again as they do
+    "name",
+    ["Batched", *(pytest.param(name, marks=pytest.mark.long) for name in NO_FUNCTIONS if name != "Batched")],
+)
 def test_fuzz_notices_it_though_nothing_is_violated(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     space, avoider = Path("short.yaml"), f"mine.py:{name}"
     assert fuzz(space, avoider=avoider, budget=16, out=Path("out"), claims=[HARMLESS]) == DIFFERS

@@ -173,7 +173,11 @@ def test_help_teaches_and_no_arguments_are_no_traceback() -> None:
     assert command("run").returncode == BAD_INPUT
 
 
-@pytest.mark.parametrize("asked", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda one: one.name)
+@pytest.mark.parametrize(  # one handler takes the last two
+    "asked",
+    [signal.SIGINT, signal.SIGHUP, pytest.param(signal.SIGTERM, marks=pytest.mark.long)],
+    ids=lambda one: one.name,
+)
 def test_ctrl_c_and_signals_alike_keep_what_was_finished(
     good: Path, tmp_path: Path, asked: signal.Signals
 ) -> None:

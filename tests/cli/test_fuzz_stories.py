@@ -132,6 +132,8 @@ def test_what_is_left_when_enough_was_shrunk_is_said_with_its_runs(
 def test_explanations_simulate_no_more_than_the_search_whatever_the_clock_says(
     space: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.setattr(search_session, "SHRINKING_RUNS", 20)
+    monkeypatch.setattr(search_session, "MOST_SHRUNK", 2)
     sessions = []
     explained = search_session.SearchSession._explain_groups
     monkeypatch.setattr(

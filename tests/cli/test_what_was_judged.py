@@ -15,6 +15,7 @@ from safety_harness.cli.main import app
 from safety_harness.scenario.read import parse_scenario, read_scenario
 from safety_harness.scenario.write import write_scenario
 from safety_harness.space.read import parse_space
+from tests.cli.test_own_controller import search_little_in
 
 BOUND = "hand distance never below 50 mm"
 REACH = """\
@@ -176,7 +177,10 @@ def test_a_claim_that_cannot_concern_a_controller_is_not_applicable(folder: Path
     assert ran("others.yaml", "--controller", "still.py:Still").exit_code == DIFFERS
 
 
-def test_a_search_finds_no_fault_in_a_controller_for_want_of_an_avoider(folder: Path) -> None:
+def test_a_search_finds_no_fault_in_a_controller_for_want_of_an_avoider(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    search_little_in(folder, monkeypatch)
     space = REACH.replace("scenario:", "scenario space:").replace("2 m/s", "from 1 m/s to 2 m/s")
     space += "  proposals lead away to within 10 mm: violated\n"
     (folder / "space.yaml").write_text(space)

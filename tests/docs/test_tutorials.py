@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from runpy import run_path
 
 import pytest
-from tutorial import TutorialError, blocks_of, follow
+import ready
+from tutorial import SCRIPTS, TutorialError, blocks_of, environment_of, follow
 from typer.testing import CliRunner
 
 from safety_harness.cli.main import app
@@ -19,6 +21,12 @@ TUTORIALS = sorted((Path(__file__).parents[2] / "docs" / "tutorials").glob("*.md
 LONG = ("release",)  # minutes of processor time; what it needs least is tried below
 
 
+@pytest.fixture(scope="module")
+def commands() -> Iterator[Path]:
+    with ready.command(environment_of([SCRIPTS])) as folder:
+        yield folder
+
+
 def test_there_is_a_tutorial_for_each_job() -> None:
     assert [page.stem for page in TUTORIALS] == ["first-run", "fuzz", "release", "report", "suite"]
 
@@ -28,8 +36,10 @@ def test_there_is_a_tutorial_for_each_job() -> None:
     [pytest.param(page, marks=[pytest.mark.long] * (page.stem in LONG)) for page in TUTORIALS],
     ids=lambda page: page.stem,
 )
-def test_every_file_and_command_of_the_tutorial_does_what_it_says(page: Path, tmp_path: Path) -> None:
-    follow(page.read_text(), tmp_path)
+def test_every_file_and_command_of_the_tutorial_does_what_it_says(
+    page: Path, tmp_path: Path, commands: Path
+) -> None:
+    follow(page.read_text(), tmp_path, commands)
 
 
 @pytest.mark.parametrize("stem", LONG)

@@ -37,6 +37,7 @@ claims:
   hand distance never below 50 mm: holds
 """
 )
+QUICK = {("tcp velocity", PPO), ("joint velocity", SAC), ("tcp twist", TD3)}
 FIELDS = ("tcp_position_in_base_m", "joint_position_rad")
 
 
@@ -51,8 +52,15 @@ def model_of(kind: Any, made: Any, steps: int = 32, **options: Any) -> Any:
     return model.learn(steps)
 
 
-@pytest.mark.parametrize("kind", [PPO, SAC, TD3])
-@pytest.mark.parametrize("action", ["tcp velocity", "tcp twist", "joint velocity"])
+# At night every kind with every action; before that each of both once.
+@pytest.mark.parametrize(
+    ("action", "kind"),
+    [
+        pytest.param(action, kind, marks=[pytest.mark.long] * ((action, kind) not in QUICK))
+        for action in ("tcp velocity", "tcp twist", "joint velocity")
+        for kind in (PPO, SAC, TD3)
+    ],
+)
 def test_the_file_gives_the_actions_of_the_model_in_si_units(kind: Any, action: str, tmp_path: Path) -> None:
     made = VecNormalize(VecMonitor(environment(action)), clip_obs=2.0)
     model = model_of(kind, made)

@@ -104,9 +104,9 @@ LOOKS: dict[str, tuple[str, int]] = {
 EXECUTES: dict[str, str | None] = {
     "run": "scenario.yaml --out again",
     "replay": f"{TRACE} --avoider {OWN}",
-    "fuzz": "space.yaml --budget 3",
+    "fuzz": "space.yaml --budget 1",
     "certify plan": None,
-    "evaluate": f"{OWN} --questions 100 --search 0 --out scores",
+    "evaluate": f"{OWN} --questions 20 --search 0 --region seen --out scores",
     "time": f"{OWN} --questions 100 --out times.json",
     "verify": None,
     "selftest": None,

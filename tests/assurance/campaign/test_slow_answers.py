@@ -7,6 +7,7 @@ import sqlite3
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from typer.testing import CliRunner
 
 from safety_harness.admission.admit import Admitter
 from safety_harness.admission.avoiders import with_avoider
+from safety_harness.admission.repeatability import Repeatability, RepeatabilityResult
 from safety_harness.admission.trial import run_all
 from safety_harness.cell.simulation.worlds import KINEMATIC
 from safety_harness.cli.console import DIFFERS
@@ -25,7 +27,7 @@ from safety_harness.extensions.assurance.campaign.merging import merge
 from safety_harness.extensions.assurance.campaign.plan import Plan
 from safety_harness.extensions.assurance.campaign.summary import fingerprint_of, root_of
 from safety_harness.extensions.assurance.campaign.watch import AvoiderWatch
-from safety_harness.extensions.assurance.certification import whose_fault
+from safety_harness.extensions.assurance.certification import credibility, whose_fault
 from safety_harness.extensions.assurance.certification.evidence import read_evidence
 from safety_harness.report.search_attribution import SearchAttribution
 from safety_harness.scenario.model import Driver
@@ -66,7 +68,7 @@ class Together(Slow):
         return Moves(stop=[True] * len(controllers))
 """
 RUNS, TICKS = 2, 51  # of a run of 0.4 s
-PLANNED = 3  # in each stratum, enough for no target
+PLANNED = 2  # in each stratum, enough for no target
 SMALL = (
     PLAN.replace("runs: 30", f"runs: {PLANNED}")
     .replace("runs: 20", f"runs: {PLANNED}")
@@ -87,6 +89,13 @@ def filled(folder: Path, plan: Plan, name: str = "slow") -> Path:
         ledger.record(row for k in range(RUNS) for row in bench.run(0, [k]))
         ledger.record(bench.run(1, range(RUNS)))
         return ledger.path
+
+
+@pytest.fixture
+def asked_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not again, and not whose fault it was: both take their time with a slow controller."""
+    monkeypatch.setattr(Repeatability, "check", lambda _: RepeatabilityResult(questions=0))
+    monkeypatch.setattr(SearchAttribution, "explain", lambda *_: Explanation())
 
 
 @pytest.mark.parametrize(("name", "slow"), [("Slow", True), ("Quick", False)])
@@ -150,9 +159,10 @@ def test_merged_ledgers_have_all_times(tmp_path: Path) -> None:
         assert [ledger.times(k).answers for k in range(2)] == [RUNS * TICKS] * 2
 
 
+@pytest.mark.usefixtures("asked_once")
 def test_certify_and_campaign_say_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(SearchAttribution, "explain", lambda *_: Explanation())  # which takes its time
     monkeypatch.setattr(whose_fault, "attribute", lambda *_: ())
+    monkeypatch.setattr(credibility, "run_trial", Mock(side_effect=RuntimeError("not made here")))
     small(tmp_path)
     words = ["certify", str(tmp_path / "plan.yaml"), "--out", str(tmp_path / "report"), "--workers", "1"]
     result = CliRunner().invoke(app, words)
@@ -177,10 +187,10 @@ def test_certify_and_campaign_say_it(tmp_path: Path, monkeypatch: pytest.MonkeyP
     )
 
 
+@pytest.mark.usefixtures("asked_once")
 def test_fuzz_says_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(search_session, "SHRINKING_RUNS", 2)
     monkeypatch.setattr(search_session, "MOST_SHRUNK", 1)
-    monkeypatch.setattr(SearchAttribution, "explain", lambda *_: Explanation())
     monkeypatch.setattr(SearchAttribution, "of_search", lambda *_: None)
     small(tmp_path)
     (tmp_path / "space.yaml").write_text(TEXT)

@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -97,6 +98,7 @@ ELSEWHERE = [
     (Repeatability, "check"),
 ]
 PLANTED = "planted by a test"
+EXPLAIN = SearchAttribution.explain
 
 
 def broken(*_: object, **__: object) -> Any:
@@ -191,15 +193,21 @@ def test_a_part_that_fails_is_an_open_finding_of_the_report(
     assert refused_parts(again)
 
 
+@pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("part", ELSEWHERE, ids=named)
 def test_a_part_that_is_caught_within_leaves_a_report_too(
     part: tuple[Any, str], again: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(*part, broken)
+    asked = Mock(side_effect=RuntimeError(PLANTED))
+    if part[0] is attribution:
+        monkeypatch.setattr(SearchAttribution, "explain", EXPLAIN)
+    monkeypatch.setattr(*part, asked)
     assert certify(again / "plan.yaml", out=again / "report", workers=1) == DIFFERS
     assert "evidence.html" in read_manifest(again / "report")
+    assert asked.called, "the test can fail"
 
 
+@pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize(
     "part", [PARTS[0], PARTS[6], (whose_fault, "attribute"), (folder, "write_traces")], ids=named
 )

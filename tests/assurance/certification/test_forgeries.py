@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from once import replayed_once  # noqa: F401
 
 from safety_harness.extensions.assurance.campaign.episodes import trace_bytes, trace_of
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
@@ -31,6 +32,7 @@ from tests.assurance.certification.forging import (
     written,
 )
 
+pytestmark = pytest.mark.usefixtures("replayed_once")
 PAGE, CLAIM = "evidence.html", "claims__0"
 FIRST = f"{CLAIM}__outcomes__0"
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from once import replayed_once  # noqa: F401
 
 from safety_harness.base.exceptions import InputError
 from safety_harness.extensions.assurance.campaign.episodes import trace_bytes, trace_of
@@ -44,7 +45,7 @@ RUN = "WHERE stratum = 0 AND episode = 5"
 
 
 @pytest.fixture(scope="module", autouse=True)
-def no_causes() -> Iterator[None]:
+def no_causes(replayed_once: None) -> Iterator[None]:  # noqa: F811
     """The causes of violations are no row; ``test_verify.py`` alters them."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(whose_fault, "attribute", lambda *_: ())

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from once import replayed_once  # noqa: F401
 
 from safety_harness.base.proportions import upper_bound
 from safety_harness.extensions.assurance.campaign.episodes import EpisodeRunner
@@ -28,6 +29,7 @@ from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
 from tests.assurance.campaign.hazards import HAZARDOUS
 from tests.assurance.campaign.plans import PLAN, ledger_in, plan_in
 
+pytestmark = pytest.mark.usefixtures("replayed_once")
 SMALL = PLAN.replace("runs: 30", "runs: 9").replace("runs: 20", "runs: 9")
 
 

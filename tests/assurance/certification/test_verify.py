@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from once import replayed_once  # noqa: F401
 from scipy.stats import binomtest
 
 from safety_harness.base.exceptions import CampaignError, InputError
@@ -46,6 +47,7 @@ from safety_harness.extensions.assurance.certification.verify_runs import (
 from tests.assurance.campaign.plans import PLAN, plan_in
 from tests.search.short_space import TEXT
 
+pytestmark = pytest.mark.usefixtures("replayed_once")
 SMALL = PLAN.replace("runs: 30", "runs: 10").replace("runs: 20", "runs: 6")
 
 

@@ -35,6 +35,7 @@ from safety_harness.extensions.assurance.commands.campaign import (
     run,
     status,
 )
+from safety_harness.extensions.assurance.statistics import importance
 from safety_harness.extensions.assurance.statistics.rounding import rounded_up
 from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
 from safety_harness.trace.store import load_trace
@@ -324,10 +325,12 @@ def test_how_often_it_is_violated_is_estimated_or_it_is_said_why_not(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("safety_harness.extensions.assurance.campaign.rare.ADMITTED_OF", 50)
+    monkeypatch.setattr(importance, "_MOST_LEVELS", 4)  # on the way to what is never violated
+    monkeypatch.setattr(importance, "_MOST_RESTARTS", 0)
     monkeypatch.setattr(AvoiderWatch, "time_lines", ["computing time: too long"])
     plan_in(tmp_path, SMALL.replace("150 mm", "50 mm"))
     plan = tmp_path / "plan.yaml"
-    assert rare_violations(plan, pilot=40, runs=240, replications=6) == DIFFERS
+    assert rare_violations(plan, pilot=20, runs=120, replications=6) == DIFFERS
     *lines, slow, last = capsys.readouterr().out.splitlines()
     assert slow == "computing time: too long"
     assert last.startswith("Basis: in ")
@@ -426,26 +429,26 @@ def test_a_bound_is_never_rounded_down() -> None:
     assert (rounded_up(1.0), rounded_up(0.123)) == ("1", "0.123")
 
 
-@pytest.mark.parametrize(
-    ("plan_s", "space_s"),
-    [
-        ("mcdropout", None),
-        ("mine.py:Mine", None),
-        ("nothing.onnx", None),
-        (None, "[opposite pose, mine.py:No]"),
-    ],
-)
+TYPOS = [
+    ("mcdropout", None),
+    ("mine.py:Mine", None),
+    ("nothing.onnx", None),
+    (None, "[opposite pose, mine.py:No]"),
+]
+
+
 def test_a_typo_in_an_avoider_leaves_no_ledger_and_the_corrected_plan_runs(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], plan_s: str | None, space_s: str | None
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ledger = tmp_path / "ledger.sqlite"
     (tmp_path / "mine.py").write_text("class Mine:\n    name = nothing\n")
-    named = "" if plan_s is None else f"avoider: {plan_s}\n"
-    space = TEXT if space_s is None else TEXT.replace("opposite pose", f"{{one of: {space_s}}}")
-    plan_in(tmp_path, SMALL.replace("avoider: opposite pose\n", named), space)
-    assert run(tmp_path / "plan.yaml", ledger=ledger, workers=1) == BAD_INPUT
-    assert "avoider" in capsys.readouterr().err
-    assert not ledger.exists()
+    for plan_s, space_s in TYPOS:
+        named = "" if plan_s is None else f"avoider: {plan_s}\n"
+        space = TEXT if space_s is None else TEXT.replace("opposite pose", f"{{one of: {space_s}}}")
+        plan_in(tmp_path, SMALL.replace("avoider: opposite pose\n", named), space)
+        assert run(tmp_path / "plan.yaml", ledger=ledger, workers=1) == BAD_INPUT
+        assert "avoider" in capsys.readouterr().err
+        assert not ledger.exists()
     plan_in(tmp_path, SMALL)
     assert run(tmp_path / "plan.yaml", ledger=ledger, workers=1) == AS_EXPECTED
 

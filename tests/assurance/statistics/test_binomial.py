@@ -37,11 +37,11 @@ def test_no_violation_in_2995_runs_shows_a_thousandth_and_in_2994_does_not() -> 
     assert not violation_bounds(violations(0, 2994), 0.95).shows(1e-3)
 
 
-def coverage(upper: np.ndarray, share: float) -> float:
-    """How often an upper bound (n + 1,), of each count, is not below the share: every count enumerated."""
-    trials = len(upper) - 1
-    chances = scipy.stats.binom.pmf(np.arange(trials + 1), trials, share)
-    return float(chances[upper >= share].sum())
+def coverage(low: np.ndarray, high: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """How often intervals of each count, (n + 1,) each, hold each share (m,): every count enumerated."""
+    trials, truth = len(high) - 1, shares[:, None]
+    chances = scipy.stats.binom.pmf(np.arange(trials + 1), trials, truth)
+    return np.asarray(np.where((low <= truth) & (truth <= high), chances, 0.0).sum(axis=1))
 
 
 def wald(count: int, trials: int, chance: float) -> float:
@@ -49,25 +49,23 @@ def wald(count: int, trials: int, chance: float) -> float:
     return share + scipy.stats.norm.isf(chance) * math.sqrt(share * (1.0 - share) / trials)
 
 
-@pytest.mark.parametrize("trials", [20, 300])
+@pytest.mark.parametrize("trials", [20, 120])
 def test_the_upper_bound_covers_as_often_as_it_says_whatever_the_truth(trials: int) -> None:
     upper = np.array([upper_bound(k, trials, 0.05) for k in range(trials + 1)])
-    for share in np.concatenate([np.linspace(0.0, 1.0, 101), np.geomspace(1e-5, 0.1, 60), upper - 1e-12]):
-        assert coverage(upper, float(share)) >= 0.95 - 1e-9
+    shares = np.concatenate([np.linspace(0.0, 1.0, 101), np.geomspace(1e-5, 0.1, 60), upper - 1e-12])
+    assert coverage(np.zeros_like(upper), upper, shares).min() >= 0.95 - 1e-9
 
 
 def test_the_two_bounds_together_cover_as_often_as_they_say() -> None:
     trials = 80
     ends = [violation_bounds(violations(k, trials), 0.9, Sides.BOTH) for k in range(trials + 1)]
-    for share in np.linspace(0.001, 0.999, 333):
-        chances = scipy.stats.binom.pmf(np.arange(trials + 1), trials, share)
-        inside = np.array([end.low <= share <= end.high for end in ends])
-        assert chances[inside].sum() >= 0.9 - 1e-9
+    low, high = (np.array([getattr(one, end) for one in ends]) for end in ("low", "high"))
+    assert coverage(low, high, np.linspace(0.001, 0.999, 333)).min() >= 0.9 - 1e-9
 
 
 def test_a_broken_interval_fails_the_same_test() -> None:
     upper = np.array([wald(k, 300, 0.05) for k in range(301)])
-    assert coverage(upper, 0.01) < 0.83  # nominal: 0.95
+    assert coverage(np.zeros_like(upper), upper, np.array([0.01])) < 0.83  # nominal: 0.95
 
 
 def test_upper_bounds_count_what_may_have_been_a_violation_and_lower_bounds_do_not() -> None:
@@ -131,9 +129,8 @@ def test_an_interval_alone_covers_as_often_as_its_confidence_says(
     single = made[0].confidence
     assert family * (1.0 - single) == pytest.approx(1.0 - confidence)
     low, high = (np.array([getattr(one, end) for one in made]) for end in ("low", "high"))
-    for share in np.concatenate([np.linspace(0.001, 0.999, 333), low + 1e-12, high - 1e-12]):
-        chances = scipy.stats.binom.pmf(np.arange(61), 60, share)
-        assert chances[(low <= share) & (share <= high)].sum() >= single - 1e-9
+    shares = np.concatenate([np.linspace(0.001, 0.999, 333), low + 1e-12, high - 1e-12])
+    assert coverage(low, high, shares).min() >= single - 1e-9
 
 
 def test_all_bounds_hold_together_as_often_as_they_say_even_of_dependent_claims() -> None:

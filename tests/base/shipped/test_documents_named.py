@@ -10,6 +10,7 @@ import subprocess
 import tarfile
 from collections import Counter
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -45,6 +46,7 @@ def sections_of(name: str, text: str) -> Iterator[str]:
         seen[words] += 1
 
 
+@cache
 def names_of_sections() -> set[str]:
     """Pages and headings of the Markdown."""
     pages = {

@@ -72,11 +72,19 @@ def turns_apart(joints: np.ndarray, others: np.ndarray) -> np.ndarray:
     return np.abs((others - joints + np.pi) % (2.0 * np.pi) - np.pi).max(axis=-1)
 
 
-@pytest.mark.parametrize("name", SIX + SEVEN + OTHER_COUNTS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        *SIX,
+        *SEVEN,
+        OTHER_COUNTS[0],
+        *(pytest.param(name, marks=pytest.mark.long) for name in OTHER_COUNTS[1:]),  # each is compiled anew
+    ],
+)
 def test_a_pose_that_joints_within_limits_give_is_reached_exactly_within_limits(name: str) -> None:
     arm = arm_named(name)
     inverse = InverseKinematics(arm)
-    count = 15 if name in OTHER_COUNTS else 40  # a pose of arms made up anyhow takes ten times as long
+    count = 15 if name in OTHER_COUNTS else 25  # a pose of arms made up anyhow takes ten times as long
     for joints, reference in zip(some(arm, count, 1), some(arm, count, 2), strict=True):
         pose = pose_at(arm, joints)
         found = inverse.nearest(pose, reference)

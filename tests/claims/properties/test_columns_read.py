@@ -55,13 +55,18 @@ UNDONE = (GAIN_SWITCH, GAIN_SWITCH_WITHIN, GAIN_SWITCH_ITERATIONS, CONVERGED)
 
 
 @cache
+def broken(sentence: str) -> Trace:
+    return BROKEN[sentence]()
+
+
+@cache
 def traces_for(entry: CatalogueEntry) -> tuple[Trace, ...]:
     """One that exercises a claim, one that breaks it, some that do neither, one cut short, faults."""
     own = shipped(entry.scenario)
     faulty = ("fault-avoider-late", "fault-avoider-answers-nan", "fault-false-hand", "second-hand")
     return (
         own,
-        BROKEN[entry.example](),
+        broken(entry.example),
         truncated(own, 2 * len(own.ticks) // 3),
         *(now.trace() for now in IDLE.values()),
         *(shipped(name) for name in faulty),
@@ -96,21 +101,24 @@ def cases(entry: CatalogueEntry) -> list[tuple[Property, Trace, Evaluation]]:
     return found
 
 
+@cache  # of a column of some length: most traces are asked of every claim
+def garbage(column: str, shape: tuple[int, ...], kind: str, seed: int) -> Any:
+    """No number, or numbers near what is real, or words, as the ``kind`` of the column has it."""
+    rng = np.random.default_rng([SEED, seed, *column.encode()])
+    if kind == "f":
+        return rng.normal(scale=3.0, size=shape) if seed else np.inf
+    return "anything" if kind == "U" else rng.integers(0, 2 if kind == "b" else 16 * seed + 2, shape)
+
+
 def of_garbage(trace: Trace, columns: Iterable[str], seed: int) -> Trace:
     """``columns`` were not measured, and hold anything instead of blanks."""
-    rng = np.random.default_rng([SEED, seed])
     unknown = knowing(trace, dict.fromkeys(columns, NOT_MEASURED))
     for records in (unknown.ticks, unknown.decisions):
         records.setflags(write=True)
     for column in columns:
         records = unknown.decisions if column.startswith(OF_DECISIONS) else unknown.ticks
         values = records[column.removeprefix(OF_DECISIONS)]
-        if values.dtype.kind == "f":
-            values[...] = rng.normal(scale=3.0, size=values.shape) if seed else np.inf
-        elif values.dtype.kind == "U":
-            values[...] = "anything"
-        else:
-            values[...] = rng.integers(0, 2 if values.dtype.kind == "b" else 4**seed + 1, values.shape)
+        values[...] = garbage(column, values.shape, values.dtype.kind, seed)
     for records in (unknown.ticks, unknown.decisions):
         records.setflags(write=False)
     return unknown
@@ -128,9 +136,9 @@ def without_words(found: Evaluation) -> Evaluation:
 def test_what_a_claim_does_not_declare_may_hold_anything(entry: CatalogueEntry) -> None:
     """Words on what would have exercised it may be fewer, but have nothing of what was not measured."""
     for prop, trace, whole in cases(entry):
-        found = [prop.evaluate(of_garbage(trace, undeclared(prop), seed)) for seed in range(3)]
-        assert found[1:] == found[:1] * 2
-        assert without_words(found[0]) == without_words(whole)
+        one, other = (prop.evaluate(of_garbage(trace, undeclared(prop), seed)) for seed in range(2))
+        assert one == other
+        assert without_words(one) == without_words(whole)
 
 
 @pytest.mark.parametrize("entry", CATALOGUE, ids=IDS)
@@ -177,7 +185,7 @@ def test_a_claim_touches_no_column_that_it_does_not_declare(entry: CatalogueEntr
 @pytest.mark.parametrize("entry", UNDONE, ids=[entry.example for entry in UNDONE])
 def test_what_later_ticks_may_undo_is_not_said_of_a_part_of_a_run(entry: CatalogueEntry) -> None:
     """Nothing is done, whatever mode is reported; what the arm does at the end could undo it."""
-    trace = BROKEN[entry.example]()
+    trace = broken(entry.example)
     prop, end = property_of(claim(entry), trace.scenario), len(trace.ticks)
     ticks = trace.ticks.copy()
     ticks["mode"][-100:] = Mode.REPULSING

@@ -35,7 +35,21 @@ class Raises(Towards):
     def propose(self, **question):
         raise ValueError("no")
 """
-FEW = {"questions": 300, "search": 0, "regions": ["seen"]}
+FEW = {"questions": 60, "search": 0, "regions": ["seen"]}
+
+
+@pytest.fixture(scope="module")
+def towards(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Where the avoider that leads towards the hand was scored without a search, and what was printed."""
+    folder = tmp_path_factory.mktemp("towards")
+    (folder / "mine.py").write_text(MINE)
+    options = [*("--questions", str(FEW["questions"]), "--search", "0", "--region", "seen", "--out", "out")]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(scoring, "LATER_S", 0.0)
+        patch.chdir(folder)
+        found = CliRunner().invoke(app, ["evaluate", "mine.py:Towards", *options])
+    assert found.exit_code == DIFFERS, found.output
+    return folder / "out", found.stdout
 
 
 @pytest.fixture
@@ -75,23 +89,21 @@ def test_a_shipped_network_has_no_finding_and_all_its_files(
     assert towards in printed.out
 
 
-def test_an_avoider_that_leads_towards_the_hand_is_a_finding(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert evaluate(["mine.py:Towards"], out=Path("out"), **FEW) == DIFFERS  # type: ignore[arg-type]
-    printed = capsys.readouterr().out
-    kinds = {finding["kind"] for finding in written(folder / "out")["avoiders"][0]["findings"]}
+def test_an_avoider_that_leads_towards_the_hand_is_a_finding(towards: tuple[Path, str]) -> None:
+    out, printed = towards
+    kinds = {finding["kind"] for finding in written(out)["avoiders"][0]["findings"]}
     assert "leads towards the hand" in kinds
     share = re.search(r"leads towards the hand \(seen\): (\S+) % .* where each yardstick leads away", printed)
     assert share is not None
     assert float(share[1]) > 80.0
-    page = (folder / "out" / PAGE).read_text()
+    page = (out / PAGE).read_text()
     assert "towards &lt;b&gt;the&lt;/b&gt; hand" in page
     assert "<b>the</b>" not in page
 
 
 def test_an_avoider_that_raises_is_a_finding_and_no_crash(folder: Path) -> None:
-    assert evaluate(["mine.py:Raises"], out=Path("out"), **FEW) == DIFFERS  # type: ignore[arg-type]
+    few = FEW | {"questions": 20}
+    assert evaluate(["mine.py:Raises"], out=Path("out"), **few) == DIFFERS  # type: ignore[arg-type]
     one = written(folder / "out")["avoiders"][0]
     assert "no answer" in {finding["kind"] for finding in one["findings"]}
     assert one["regions"][0]["answered"]["count"] == 0
@@ -112,15 +124,16 @@ def test_all_but_the_times_repeats_from_the_seed(folder: Path) -> None:
     assert first != figures("c", 2)
 
 
-def test_a_search_changes_no_figure_and_its_worst_questions_run_as_they_expect(folder: Path) -> None:
-    evaluate(["mine.py:Towards"], out=Path("without"), **FEW)  # type: ignore[arg-type]
-    options = FEW | {"search": 128}
+def test_a_search_changes_no_figure_and_its_worst_questions_run_as_they_expect(
+    folder: Path, towards: tuple[Path, str]
+) -> None:
+    options = FEW | {"search": 40}
     evaluate(["mine.py:Towards"], out=Path("with"), **options)  # type: ignore[arg-type]
-    (one,), (other,) = written(folder / "without")["avoiders"], written(folder / "with")["avoiders"]
+    (one,), (other,) = written(towards[0])["avoiders"], written(folder / "with")["avoiders"]
     assert one["regions"] == other["regions"]
     assert one["findings"] == other["findings"]
     (ledger,) = other["search"]["regions"]
-    assert ledger["asked"] == 128
+    assert ledger["asked"] == 40
     files = sorted((folder / "with").glob("*.yaml"))
     assert len(files) == len(other["search"]["worst"]) > 1
     found = CliRunner().invoke(app, ["run", str(files[0]), "--out", "run"])
@@ -132,18 +145,22 @@ def test_against_a_reference_only_what_it_does_not_do_is_reported(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (folder / "again.py").write_text(f"{MINE}# another version that answers alike\n")
-    few = FEW | {"against": "again.py:Towards"}
+    few = FEW | {"questions": 20, "against": "again.py:Towards"}
     assert evaluate(["mine.py:Towards"], out=Path("alike"), **few) == AS_EXPECTED  # type: ignore[arg-type]
     assert "gave the same answer to every question: is it a copy?" in capsys.readouterr().err
-    few = FEW | {"against": "opposite pose"}
+    few = FEW | {"questions": 20, "against": "opposite pose"}
     assert evaluate(["mine.py:Towards"], out=Path("worse"), **few) == DIFFERS  # type: ignore[arg-type]
     printed = capsys.readouterr()
     assert "is it a copy?" not in printed.err
-    assert "on 300 questions where opposite pose does not" in printed.out
+    assert "on 20 questions where opposite pose does not" in printed.out
 
 
 @pytest.mark.parametrize(
-    "named", ["mine.py:Towards", "./mine.py:Towards", "copy.py:Towards", "opposite pose"]
+    "named",
+    [
+        *(pytest.param(one, marks=pytest.mark.long) for one in ("mine.py:Towards", "./mine.py:Towards")),
+        *("copy.py:Towards", "opposite pose"),  # a copy is what the others are: the same bytes
+    ],
 )
 def test_a_comparison_with_itself_is_refused(
     named: str, folder: Path, capsys: pytest.CaptureFixture[str]
@@ -205,7 +222,7 @@ def test_ctrl_c_keeps_the_regions_that_were_finished(
         return score(*args, on_region=told, **options)
 
     monkeypatch.setattr(module, "score", interrupted)
-    few = FEW | {"regions": ["seen", "unseen tcp"], "search": 64}
+    few = FEW | {"regions": ["seen", "unseen tcp"], "search": 64, "questions": 20}
     assert evaluate(["mine.py:Towards"], out=Path("out"), **few) == INTERRUPTED  # type: ignore[arg-type]
     one = written(folder / "out")["avoiders"][0]
     assert [region["region"] for region in one["regions"]] == ["seen"]
@@ -220,7 +237,7 @@ def test_the_questions_of_a_space_are_a_region(folder: Path) -> None:
     few = FEW | {"regions": None, "spaces": [space]}
     assert evaluate(["mc-dropout"], out=Path("out"), **few) == AS_EXPECTED  # type: ignore[arg-type]
     (region,) = written(folder / "out")["avoiders"][0]["regions"]
-    assert (region["region"], region["asked"]) == ("reaching-hands", 300)
+    assert (region["region"], region["asked"]) == ("reaching-hands", 60)
 
 
 def test_what_no_run_asks_is_named_and_not_searched(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -256,11 +273,11 @@ def test_a_place_that_cannot_be_written_is_bad_input(
     assert "can be written" in capsys.readouterr().err
 
 
-def test_an_avoider_that_often_leads_towards_the_hand_is_never_green(tmp_path: Path) -> None:
+def test_an_avoider_that_often_leads_towards_the_hand_is_never_green(folder: Path) -> None:
     """Where hand and TCP are unseen, mc-dropout does so in half of its proposals, as the yardsticks do."""
     for region, colour in (("unseen both", "doubt"), ("seen", "fine")):
-        out = tmp_path / region
-        assert evaluate(["mc-dropout"], regions=[region], questions=400, search=0, out=out) == AS_EXPECTED
+        out = folder / region
+        assert evaluate(["mc-dropout"], regions=[region], questions=200, search=0, out=out) == AS_EXPECTED
         page = (out / "evaluation.html").read_text()
         assert f'class="banner {colour}" role="note"><strong>mc-dropout: no finding.' in page
         assert ("are too many for green." in page) == (colour == "doubt")

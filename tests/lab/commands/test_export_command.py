@@ -5,11 +5,11 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from cell.avoidance.random_models import SEEN, random_model
+from cell.avoidance.random_models import SEEN, random_perceptron
 
 from safety_harness.base.settings import DEFAULTS
 from safety_harness.cell.avoidance.isolation.isolated import isolated_onnx
-from safety_harness.cell.avoidance.model_file import Dropout, save_model
+from safety_harness.cell.avoidance.model_file import save_model
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED
 from safety_harness.extensions.lab.commands.learning import export
 from safety_harness.extensions.lab.learning import export as module
@@ -18,9 +18,9 @@ from safety_harness.space.regions import exported_use
 
 @pytest.fixture(scope="module", autouse=True)
 def _converted_once() -> Iterator[None]:
-    """The one model here; ``learning/test_export.py`` has that exporting twice gives the same bytes."""
+    """The one model here, a quick one; ``learning/test_export.py`` has that twice gives the same bytes."""
     with pytest.MonkeyPatch.context() as patch:
-        once = cache(lambda metadata: convert(random_model(Dropout.INTER), metadata))
+        once = cache(lambda metadata: convert(random_perceptron(), metadata))
         convert = module._onnx_bytes
         patch.setattr(module, "_onnx_bytes", lambda model, metadata: once(metadata))
         yield
@@ -29,7 +29,7 @@ def _converted_once() -> Iterator[None]:
 @pytest.fixture
 def model(tmp_path: Path) -> Path:
     path = tmp_path / "model.safetensors"
-    save_model(random_model(Dropout.INTER), path)
+    save_model(random_perceptron(), path)
     return path
 
 

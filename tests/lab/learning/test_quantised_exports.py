@@ -10,8 +10,7 @@ import onnx
 import pytest
 
 from safety_harness.cell.avoidance.learned import LearnedAvoider
-from safety_harness.cell.avoidance.model_file import Dropout
-from tests.cell.avoidance.random_models import random_model
+from tests.cell.avoidance.random_models import random_perceptron
 from tests.cell.avoidance.test_real_exports import (
     HAND,
     LAYOUT,
@@ -43,7 +42,7 @@ def test_a_quantised_network_answers_to_its_own_digits(
     from safety_harness.extensions.lab.learning.export import write_export
 
     if ours:
-        model, layout, path = random_model(Dropout.INTER, seed=3), "", tmp_path / "ours.onnx"
+        model, layout, path = random_perceptron(seed=3), "", tmp_path / "ours.onnx"
         write_export(model, b"a file", path, seed=0)
         own = LearnedAvoider.from_model(model).propose(
             hand_position_in_base_m=HAND, tcp_position_in_base_m=TCP, seed=1

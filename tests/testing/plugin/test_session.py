@@ -108,11 +108,16 @@ def test_a_failure_of_an_object_prints_no_command_that_runs_another_avoider(run,
 
 
 def test_two_workers_tell_the_same_as_one(run, project: Path) -> None:
+    """Of a run that a test of the one worker leaves unjudged, because one of the other judges it, too."""
+    unjudged = "".join(f"def test_{k}(simulate): simulate('fast.yaml')\n" for k in range(2))
+    (project / "test_unjudged.py").write_text(unjudged)  # the first two tests go to the first worker
+    files = ("test_unjudged.py", "fast.yaml", "fine.yaml", "test_it.py")
     options = ("-n", "2", "--junitxml=junit.xml", "--safety-report=out/report.html", "--safety-derandomize")
-    result = run("fast.yaml", "fine.yaml", "test_it.py", *options)
-    result.assert_outcomes(passed=4, failed=2)
+    result = run(*files, *options)
+    result.assert_outcomes(passed=6, failed=2)
+    result.stdout.no_fnmatch_line("*that nobody judged*")
     result.stdout.fnmatch_lines([f"{SPEED} * 8 *", "report: out/report.html"])
-    alone = run("fast.yaml", "fine.yaml", "test_it.py", "--safety-derandomize")
+    alone = run(*files, "--safety-derandomize")
     of_both = [[line for line in one.outlines if line.startswith("overruled ")] for one in (result, alone)]
     assert of_both[0] == of_both[1] != []
     cases = {case.get("name"): case for case in ET.parse(project / "junit.xml").iter("testcase")}
@@ -285,7 +290,7 @@ def test_verdicts_have_no_truth_value_and_a_run_that_nobody_judged_fails_the_ses
         result = run("test_it.py", "-k", test)
         result.assert_outcomes(passed=1, deselected=4)
         assert result.ret == code
-    result = run("test_it.py", "fast.yaml", "-k", "test_never or TCP", "-n", "2")
+    result = run("test_it.py", "fast.yaml", "-k", "test_never or TCP")
     assert result.ret == pytest.ExitCode.OK, "another test judged the same run"
 
 
