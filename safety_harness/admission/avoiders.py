@@ -56,6 +56,7 @@ if TYPE_CHECKING:
 OPPOSITE, NEAREST = "opposite pose", "nearest candidate"
 NAMES = (*SHIPPED, OPPOSITE, NEAREST)
 SAFETY_FILTER = "--safety-filter"  # the option that names the filter of a trace
+UNFILTERED = "the unfiltered system"  # the reference of a comparison: the system without its safety filter
 FORMS = f"one of: {', '.join(NAMES)}; FILE.py:NAME; FILE{MODEL_SUFFIX}; FILE{ONNX_SUFFIX}"
 
 
@@ -210,13 +211,13 @@ def reference_for(tested: str | None, reference: str | None) -> str | None:
     """Return the reference given by ``--against``, which is compared with the system under test.
 
     The result is a ``Driver`` if ``reference`` names a controller of ours or a program.  It is also a
-    ``Driver`` if the tested system is a driver and no avoider has that name.  InadmissibleError if
-    ``reference`` is the tested system itself.
+    ``Driver`` if the tested system is a driver and no avoider has that name.  UNFILTERED stays as it is.
+    InadmissibleError if ``reference`` is the tested system itself.
     """
     from safety_harness.cell.controller.named import NAMES as CONTROLLERS  # slow, and few commands need it
 
     driver = reference in CONTROLLERS or names_a_program(reference or "")
-    driver |= isinstance(tested, Driver) and reference not in NAMES
+    driver |= isinstance(tested, Driver) and reference not in (*NAMES, UNFILTERED)
     refuse_itself(tested, reference)
     return Driver(reference) if driver and reference is not None else reference
 
@@ -249,7 +250,9 @@ def refuse_same(tested: Scenario | None, reference: Scenario, option: str = "--a
         option: The option of the reference, for the error.
 
     """
-    if tested is not None and (tested == reference or _is_copy(tested, reference)):
+    if tested is None or tested.safety_filter != reference.safety_filter:
+        return
+    if tested == reference or _is_copy(tested, reference):
         refuse_itself(reference.under_test, reference.under_test, option)
 
 
@@ -260,7 +263,13 @@ def _is_copy(tested: Scenario, reference: Scenario) -> bool:
     """
     first, second = (_file_of(replace(side, avoider=str(side.under_test))) for side in (tested, reference))
     own, name = (file_and_name(side.under_test)[1] for side in (tested, reference))
-    if first is None or second is None or own != name or not (first.is_file() and second.is_file()):
+    if (
+        tested.safety_filter != reference.safety_filter
+        or first is None
+        or second is None
+        or own != name
+        or not (first.is_file() and second.is_file())
+    ):
         return False
     beside = first.parent == second.parent or not is_a_program(tested.under_test)
     return beside and filecmp.cmp(first, second, shallow=False)
@@ -429,6 +438,19 @@ def with_avoider(scenario: Scenario, reference: str, place: Place | None = None)
         expected = f"no avoider, since the scenario's controller {scenario.controller} does not ask any"
         raise InadmissibleError(place=place, expected=expected, got=repr(reference))
     return replace(scenario, **_placed(scenario, "avoider", "an avoider", reference, place))
+
+
+def with_reference(scenario: Scenario, reference: str, place: Place) -> Scenario:
+    """Return the scenario with the reference of a comparison in place of its avoider or controller.
+
+    With UNFILTERED as the reference, only the safety filter is left out.  InadmissibleError at ``place`` if
+    the reference cannot be used, or if there is no filter.
+    """
+    if reference != UNFILTERED:
+        return with_avoider(scenario, reference, place)
+    if not scenario.safety_filter:
+        raise InadmissibleError(place=place, expected="a scenario with a safety filter", got="one without")
+    return replace(scenario, safety_filter="")
 
 
 def _placed(scenario: Scenario, key: str, noun: str, reference: str, place: Place) -> dict[str, Any]:

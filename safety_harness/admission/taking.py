@@ -12,7 +12,13 @@ from pathlib import Path
 from typing import TypeVar
 
 from safety_harness.admission.admit import check
-from safety_harness.admission.avoiders import refuse_same, told_avoider, with_avoider
+from safety_harness.admission.avoiders import (
+    UNFILTERED,
+    refuse_same,
+    told_avoider,
+    with_avoider,
+    with_reference,
+)
 from safety_harness.base.exceptions import InadmissibleError, InputError, Place
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.write import write_scenario
@@ -52,7 +58,9 @@ def accept(
     results, tested = [], None
     for reference, option in avoiders:
         try:
-            made = scenario if reference is None else with_avoider(scenario, reference, Place(field=option))
+            made = tested or scenario if reference == UNFILTERED else scenario
+            if reference is not None:
+                made = with_reference(made, reference, Place(field=option))
             refuse_same(tested, made, option)
             results.append(inspect(made))
         except InputError as error:

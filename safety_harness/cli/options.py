@@ -60,7 +60,8 @@ OfReference = Annotated[
     str | None,
     Option(
         "--against",
-        help="A reference avoider or controller, on the same draws; only differences from it count.",
+        help="A reference avoider or controller, or 'the unfiltered system', on the same draws; only "
+        "differences from it count.",
         metavar="REFERENCE",
     ),
 ]

@@ -10,7 +10,7 @@ from math import isnan
 from weakref import WeakKeyDictionary
 
 from safety_harness.admission.admit import admit
-from safety_harness.admission.avoiders import told_avoider, with_avoider
+from safety_harness.admission.avoiders import told_avoider, with_reference
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.trial import run_all
 from safety_harness.base.exceptions import InputError, Place
@@ -80,7 +80,7 @@ class Reference:
 
     def in_place(self, scenario: Scenario) -> Scenario:
         """Return ``scenario`` with this avoider; raise InadmissibleError, which names ``--against``."""
-        return with_avoider(scenario, self.avoider, Place(field="--against"))
+        return with_reference(scenario, self.avoider, Place(field="--against"))
 
     def said_of(self, claim: Claim, run: Trace) -> Evaluation | None:
         """Return the evaluation of ``claim`` in the reference's run of the scenario of ``run``.

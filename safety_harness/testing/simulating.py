@@ -12,7 +12,7 @@ from types import FrameType
 from weakref import WeakKeyDictionary, WeakSet
 
 from safety_harness.admission.admit import Admitted, Admitter, Checker, admit
-from safety_harness.admission.avoiders import command_line_reference, option_of, with_avoider
+from safety_harness.admission.avoiders import command_line_reference, option_of, with_avoider, with_reference
 from safety_harness.admission.trial import run_trial
 from safety_harness.base.exceptions import FlakyAvoiderError, InputError, Place
 from safety_harness.cell.avoidance.avoider import Avoider
@@ -148,7 +148,7 @@ class Simulate:
         reference = session().against
         assert reference is not None
         place = Place(field="--safety-against")
-        return self._remembered(with_avoider(original(trace), reference, place))
+        return self._remembered(with_reference(original(trace), reference, place))
 
     def _remembered(self, scenario: Scenario) -> Trace:
         test, digest = session().test, digest_of(scenario)

@@ -14,9 +14,11 @@ import pytest
 
 from safety_harness import load_trace
 from safety_harness.admission.admit import admit
+from safety_harness.admission.avoiders import UNFILTERED, with_reference
 from safety_harness.admission.repeatability import Repeatability
+from safety_harness.admission.taking import accept
 from safety_harness.admission.trial import judge, run_kinematic
-from safety_harness.base.exceptions import ControllerError, InadmissibleError, TraceError
+from safety_harness.base.exceptions import ControllerError, InadmissibleError, Place, TraceError
 from safety_harness.claims.properties.base import Evaluation
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.read import parse_scenario, read_scenario
@@ -440,3 +442,33 @@ def test_the_worked_example_keeps_the_hand_away_and_its_page_says_so(tmp_path: P
     bare = run_kinematic(admit(replace(made, safety_filter="")))
     inside_mm = -min(item.margin or 0.0 for item in judge(bare)[1:2]) * 1e3
     assert f"{inside_mm:.0f} mm inside the wrist" in page
+
+
+SLOWER = (
+    SHORT
+    + """\
+  "eventually TCP speed > 40 mm/s": holds
+  trace finite and monotone: holds
+"""
+)
+
+
+def test_a_filter_is_compared_with_the_system_without_it(capsys: pytest.CaptureFixture[str]) -> None:
+    """A filter that halves every command loses half of the speed, and breaks nothing."""
+    scenario("filters.py:Halves", SLOWER)
+    ended = command("run", "visit.yaml", "--world", "kinematic", "--against", "the unfiltered system")
+    (run,) = json.loads(Path("reports/run/report.json").read_text())["against"]["runs"]
+    changes = {claim["claim"]: claim["change"] for claim in run["claims"]}
+    assert changes["eventually TCP speed > 40 mm/s"] == "new violation", ended.output
+    assert changes["trace finite and monotone"] == "no difference"
+    assert "the avoider answered" not in changes  # it is the same avoider
+    assert "violates a claim that the unfiltered system keeps in 1 of 1 runs" in ended.output
+
+
+def test_the_unfiltered_system_is_that_of_the_avoider_that_is_tested_and_needs_a_filter() -> None:
+    own = scenario("filters.py:Halves", SHORT)
+    tested, reference = accept(own, [("down", "--avoider"), (UNFILTERED, "--against")], lambda case: case)
+    assert (tested.avoider, tested.safety_filter) == ("down", "filters.py:Halves")
+    assert (reference.avoider, reference.safety_filter) == ("down", "")
+    with pytest.raises(InadmissibleError, match="a scenario with a safety filter"):
+        with_reference(replace(own, safety_filter=""), UNFILTERED, Place(field="--against"))

@@ -115,10 +115,11 @@ class RunDifference:
     ) -> RunDifference:
         """Return the difference of two traces, with the pairs of evaluations in ``judged``.
 
-        Unless the scenario claims it, the claim "the avoider answered" is judged too.
+        Unless the scenario claims it, the claim "the avoider answered" of two avoiders is judged too.
         """
         pairs = list(judged)
-        if not is_claimed(mine.scenario.claims):
+        same_avoider = mine.scenario.safety_filter != reference.scenario.safety_filter
+        if not (same_avoider or is_claimed(mine.scenario.claims)):
             answered = AvoiderAnswered()
             pairs.append((answered.evaluate(mine), answered.evaluate(reference)))
         return cls(
