@@ -12,13 +12,17 @@ import random
 import sys
 from pathlib import Path
 
-import hypothesis  # noqa: F401 (for its import)
+import hypothesis  # noqa: F401 (for its import, as those below)
 import pytest
+import xdist.plugin  # noqa: F401
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import judge, run_kinematic
-from safety_harness.cell.simulation import pybullet_world  # noqa: F401 (for its import)
+from safety_harness.cell.simulation import pybullet_world  # noqa: F401
+from safety_harness.report import decisions  # noqa: F401
+from safety_harness.scenario import expand  # noqa: F401
 from safety_harness.scenario.read import parse_scenario
+from safety_harness.space import strategy  # noqa: F401
 
 # That the package is there before pytest, which would rewrite its assertions if it had any.
 LOADED = ("-W", "ignore:Module already imported so cannot be rewritten:pytest.PytestAssertRewriteWarning")
