@@ -26,9 +26,12 @@ test: $(VENV)/tested
 test-all: test slow
 
 # What tests/slow.txt names, less what LESS ignores: pytest does not ignore a file that it is given.
+slow: NAMED = $(filter-out $(patsubst --ignore=%,%,$(LESS)),$(shell \
+	cut -d: -f1 tests/slow.txt | sort -u | xargs -I% find tests paper/tests -name %))
+slow: OF_CORE = $(filter $(addsuffix %,$(filter-out --%,$(CORE) $(LIGHT))),$(NAMED))
 slow: warm
-	$(call run,-m 'slow and not long' $(LESS) $(filter-out $(patsubst --ignore=%,%,$(LESS)),$(shell \
-		cut -d: -f1 tests/slow.txt | sort -u | xargs -I% find tests paper/tests -name %)))
+	$(call run,$(SLOW) $(OF_CORE),$(ALONE))
+	$(call run,$(SLOW) $(LESS) $(filter-out $(OF_CORE),$(NAMED)))
 	$(BIN)/python $(SUITE) examples/suites --safety-derandomize
 
 # The core, quick and slow, where no wing is installed.
@@ -51,6 +54,7 @@ export PYTHONDONTWRITEBYTECODE :=
 SUITE := -m pytest -n 2 --dist worksteal --assert=plain
 ALONE := PYTHONPATH=$(CURDIR)/.ci/alone
 QUICK := -m 'not long and not slow'
+SLOW := -m 'slow and not long'
 LESS :=
 run = $(2) $(BIN)/python $(SUITE) $(1) || { $(2) $(BIN)/python -m pytest --last-failed --last-failed-no-failures none $(1); exit 1; }
 # A toy wing, which registers parts where ours do: it hides them by itself.

@@ -33,7 +33,8 @@ def main(file: str, seconds: str = "600") -> None:
             name = f"{path.name}.py::{case.get('name', '').partition('[')[0]}"
             times[name] += float(case.get("time", 0.0))
             weights[name] = 0.5 if (PACKAGE / path.parts[1]).is_dir() else 1.0
-    taken, slow = times.total(), set[str]()
+    # What is asked of the site waits for it to be built, however long the tests themselves take.
+    taken, slow = times.total(), {name for name in times if name.startswith("test_site.py::")}
     for name in sorted(times, key=lambda one: -times[one] * weights[one]):
         if taken - sum(times[one] for one in slow) <= float(seconds):
             break
