@@ -11,6 +11,7 @@ from safety_harness.base.exceptions import AvoiderError, InadmissibleError
 from safety_harness.base.geometry.segments import segment_segment_distance
 from safety_harness.base.geometry.transforms import inverse_transform
 from safety_harness.base.settings import (
+    DecisionCost,
     DecisionTimes,
     DetectorKind,
     GateKind,
@@ -27,10 +28,10 @@ from safety_harness.cell.robot.robots import drive_model
 from safety_harness.cell.servoing.control import DesiredView
 from safety_harness.cell.simulation.cameras import RING, sensors
 from safety_harness.cell.simulation.exact_views import hand_box
-from safety_harness.scenario.decision_times import refuse_wall_clock
 from safety_harness.scenario.fault_table import fault_table
 from safety_harness.scenario.faults import CameraHidden, CameraLate, FalseHand, HandSensorLate
 from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.references import file_and_name
 
 TOUCHING_M = 1e-6  # nearer edges of an outline count as touching
 # Above this number, triangles servo to 5 mm in raster images from at most two of eight starts; below 500
@@ -233,12 +234,14 @@ def check_decision_time(scenario: Scenario, avoider: Avoider, own: str) -> None:
     except AvoiderError as error:
         raise scenario.inadmissible("an avoider that declares a time", str(error), "avoider") from None
     cost, tested = scenario.settings.avoidance.decision_time, str(scenario.under_test)
-    if scenario.driven:
-        refuse_wall_clock(scenario, InadmissibleError, runs="runs of a controller")
+    if scenario.driven and cost is DecisionCost.WALL_CLOCK:
+        expected = "a time or a measured profile, because runs of a controller have to repeat"
+        raise scenario.inadmissible(expected, cost.value, "settings.avoidance.decision time")
     measured = cost.measured if isinstance(cost, DecisionTimes) else None
     if measured is None:
         return
-    if measured.sha256 != own or (not own and measured.avoider != tested):
+    another_class = file_and_name(measured.avoider)[1] != file_and_name(tested)[1]
+    if measured.sha256 != own or another_class or (not own and measured.avoider != tested):
         expected = f"a profile of {tested}, as its file is now"
         option = "--controller " if scenario.driven else ""
         hint = f"safety-harness time {option}{shlex.quote(tested)} --out FILE.json"

@@ -315,7 +315,8 @@ class UserController(Protocol):
     episode fails for that reason.
 
     An optional ``acts_per_answer`` states for how many calls of ``act`` an answer lasts, as for a policy that
-    answers in chunks. If the scenario has a decision time, only the first of these calls costs time.
+    answers in chunks. If the scenario has a decision time, only the first of these calls costs time, and the
+    others get its view again.
 
     Its class may have ``act_many(controllers, seen)``, so that many episodes run side by side, in lanes. This
     function returns the ``Moves`` of n episodes at once, with the same bits as ``act`` of each controller.
@@ -384,8 +385,8 @@ def reports_of(controller: UserController) -> tuple[str, ...]:
     """
     if getattr(controller, "decision_time_s", None):
         raise ControllerError(
-            "decision_time_s of a controller is not read: state the time in the scenario, as "
-            "settings: {avoidance: {decision time: 40 ms}}"
+            "decision_time_s is not read: a scenario states the time of a controller, as settings: "
+            "{avoidance: {decision time: 40 ms}}; a safety filter answers in its own tick"
         )
     reports = _words_of(controller, "reports", getattr(controller, "reports", ()), REPORTS)
     if DOUBT in reports and DECISIONS not in reports:

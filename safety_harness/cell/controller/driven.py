@@ -228,7 +228,7 @@ class DrivenController:
         """
         try:
             if self._computing is None:
-                self._note(self._called(self.answers))
+                self._note(self._called(self.answers, self._seen_now()))
             else:
                 self._ask_if_idle(self._computing)
         except ControllerError as error:
@@ -245,22 +245,33 @@ class DrivenController:
             if computing.goes_on:
                 return
         if computing.counts_from is None:
-            computing.began(tick, self._called(computing.answers), self.period_s)
+            if not computing.goes_on or computing.seen is None:
+                computing.seen = self._seen_now()
+            action = self._called(computing.answers, computing.seen)
+            computing.began(tick, action, self.period_s)
             if computing.is_due(tick):
                 self._note(computing.put_into(self.answers))
 
-    def _called(self, answers: LaneAnswers) -> Action:
-        """Return the controller's action, which is stored in ``answers`` too."""
+    def _called(self, answers: LaneAnswers, seen: Seen) -> Action:
+        """Return the controller's action on the view ``seen``, which is stored in ``answers`` too."""
+        begun_s = time.perf_counter()
+        action = self.user.act(seen)
+        took_s = time.perf_counter() - begun_s
+        if self._computing is not None and self._computing.goes_on:
+            self.answers_took_s[-1] += took_s  # a part of the last answer
+        else:
+            self.answers_took_s.append(took_s)
+        answers.take(0, action)
+        return action
+
+    def _seen_now(self) -> Seen:
+        """Return the controller's view at this tick."""
         row = self._floats.copy()
         row.flags.writeable = False
         seen = Seen.of_row(float(row[0]), self.period_s, self.layout, row)
         if self._image is not None and IMAGE in self.sees:
             seen.__dict__["image"] = self._image()
-        begun_s = time.perf_counter()
-        action = self.user.act(seen)
-        self.answers_took_s.append(time.perf_counter() - begun_s)
-        answers.take(0, action)
-        return action
+        return seen
 
     def not_finite(self, wanted: Floats) -> ControllerError:
         """Return the error about the velocities ``wanted``, (6,) or (n,), that are not finite."""
@@ -303,7 +314,8 @@ class _Computing:
     """The answer of a controller whose answers cost simulated time, until it counts.
 
     ``times_s`` (n,) [s] is the cost at each tick. Of a ``user`` whose answer lasts for several calls of
-    ``act``, as its ``acts_per_answer`` says, only the first of these calls costs time.
+    ``act``, as its ``acts_per_answer`` says, only the first of these calls costs time. The others get the
+    same view ``seen``, because the answer was computed from it.
     """
 
     def __init__(self, user: UserController, times_s: Floats, joints: int, reports: tuple[str, ...]) -> None:
@@ -312,6 +324,7 @@ class _Computing:
         self._times_s, self._acts = times_s, 0
         self._per_answer = acts_per_answer_of(user)
         self._action: Action = Stop()
+        self.seen: Seen | None = None
 
     @property
     def goes_on(self) -> bool:

@@ -127,6 +127,11 @@ class FilteredController:
         return self.pilot.decision_latencies_s
 
     @property
+    def answers_took_s(self) -> list[float]:
+        """The wall-clock time [s] of each answer of a user's controller; empty for the visual servo."""
+        return self.pilot.answers_took_s if isinstance(self.pilot, DrivenController) else []
+
+    @property
     def known(self) -> dict[str, Measurement]:
         """The columns of the traces that the controller does not report."""
         return self.pilot.known if isinstance(self.pilot, DrivenController) else {}

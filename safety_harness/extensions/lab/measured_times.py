@@ -24,6 +24,7 @@ from safety_harness.base.seeds import Branch, generator
 from safety_harness.base.settings import DEFAULTS, DecisionCost, DecisionTimes, Measured
 from safety_harness.cell.avoidance.asking import Question, ask
 from safety_harness.cell.avoidance.avoider import Avoider
+from safety_harness.cell.simulation.simulate import INTERRUPTED
 from safety_harness.cell.simulation.worlds import KINEMATIC
 from safety_harness.scenario.fields import is_sentence
 from safety_harness.scenario.model import Driver, Scenario
@@ -103,9 +104,14 @@ def measured_controller(reference: str, scenario: Scenario, answers: int) -> Mea
     times_s: list[float] = []
     while len(times_s) < answers:
         admitted = admitter.admit(replace(driven, seed=driven.seed + len(times_s)))
-        assert admitted.driver is not None
+        if admitted.driver is None:
+            expected = "a controller of yours, 'stop when near' or 'learned policy'"
+            raise InadmissibleError.of_option("--controller", expected, f"{reference}, whose avoider answers")
         trace = run_trial(admitted, world=KINEMATIC)
-        times_s += trace.answer_s[:: acts_per_answer_of(admitted.driver.controller)].tolist()
+        if trace.ended == INTERRUPTED:
+            raise KeyboardInterrupt
+        acts = acts_per_answer_of(admitted.driver.controller)
+        times_s += np.add.reduceat(trace.answer_s, np.arange(0, len(trace.answer_s), acts)).tolist()
     component = named_system(driven).tested
     measured = Measured(
         avoider=component.name, sha256=component.sha256, machine=machine(), questions=len(times_s)

@@ -102,6 +102,8 @@ def test_an_avoider_or_a_controller_is_measured_and_not_both(
     assert time_answers() == BAD_INPUT
     assert time_answers("mine.py:Mine", controller="driver.py:Slow") == BAD_INPUT
     assert capsys.readouterr().err.count("an avoider, or --controller") == 2
+    assert time_answers(controller="visual servo") == BAD_INPUT
+    assert "visual servo, whose avoider answers" in capsys.readouterr().err
 
 
 def test_what_does_not_answer_or_cannot_be_written_leaves_nothing(

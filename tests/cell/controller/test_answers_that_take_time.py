@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from hashlib import sha256
 from math import ceil
 from pathlib import Path
 from typing import Any
@@ -137,6 +138,28 @@ def test_a_stop_waits_and_lasts_like_any_answer(world: WorldEntry) -> None:
     assert [*np.flatnonzero(moves == 2)] == [*range(30, 35)]
 
 
+def test_every_part_of_an_answer_is_of_the_view_that_the_answer_was_computed_from() -> None:
+    """A controller that claims more parts than it has gains nothing: what it sees only grows older."""
+
+    class Looks(Counts):
+        def act(self, seen: Seen) -> Move:
+            return Move(joint_velocity_radps=np.full(6, 1e-3 * seen.time_s))
+
+    trace = run_of(0.024, Looks(acts_per_answer=4, reports=()))
+    seen_s = 1e3 * trace.ticks["demanded_joint_velocity_radps"][:, 0]
+    cycle = [PERIOD_S * 7 * (k // 7) for k in range(TICKS + 1)]  # three ticks of computing and four parts
+    assert seen_s[3:] == pytest.approx(cycle[: TICKS - 2])
+    forever = (
+        1e3 * run_of(0.024, Looks(acts_per_answer=100_000, reports=())).ticks["demanded_joint_velocity_radps"]
+    )
+    assert not forever.any()  # all is of the view at 0 s
+
+
+def test_the_parts_of_an_answer_are_timed_together() -> None:
+    trace = run_of(0.024, Counts(acts_per_answer=4))
+    assert len(trace.answer_s) == len(run_of(0.056, Counts()).answer_s)
+
+
 def test_many_runs_are_each_as_alone() -> None:
     cases = [timed((0.005, 0.05), replace(timed(0.0), seed=seed)) for seed in (1, 2, 3)]
     runs = run_many([admit(case, controller=Counts()) for case in cases], world=KINEMATIC)
@@ -164,6 +187,21 @@ def test_what_is_said_of_the_time() -> None:
     assert line == "counts: computing time not modelled"
 
 
+def test_what_is_said_of_the_time_is_said_behind_a_safety_filter_too(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("""
+class Passes:
+    name, sees = "passes", ("wanted command",)
+
+    def reset(self, **start):
+        pass
+
+    def act(self, seen):
+        return seen.wanted_command.action
+""")
+    case = replace(timed(0.04), controller="stop when near", safety_filter=f"{tmp_path / 'mine.py'}:Passes")
+    assert computing_time_lines([run_kinematic(admit(case))]) == ["stop when near: 40 ms an answer"]
+
+
 def test_an_error_of_an_answer_names_the_call() -> None:
     class Fails(Counts):
         def act(self, seen: Seen) -> Move:
@@ -174,7 +212,7 @@ def test_an_error_of_an_answer_names_the_call() -> None:
 
 
 def test_a_time_of_the_clock_and_a_profile_of_another_are_refused() -> None:
-    with pytest.raises(InadmissibleError, match="runs of a controller have to repeat"):
+    with pytest.raises(InadmissibleError, match="because runs of a controller have to repeat"):
         run_of(DecisionCost.WALL_CLOCK, Counts())
     measured = Measured(avoider="other.py:C", sha256="ab" * 32, machine="here", questions=9)
     profile = DecisionTimes(quantiles_s=(0.01, 0.02), measured=measured)
@@ -182,6 +220,20 @@ def test_a_time_of_the_clock_and_a_profile_of_another_are_refused() -> None:
     with pytest.raises(InadmissibleError, match="a profile of stop when near, as its file is now") as refused:
         admit(case)
     assert "safety-harness time --controller 'stop when near' --out FILE.json" in str(refused.value)
+
+
+def test_a_profile_of_another_class_of_the_file_is_refused(tmp_path: Path) -> None:
+    text = "class A:\n    name, sees, reset = 'a', ('joints',), lambda self, **start: None\n"
+    file = tmp_path / "mine.py"
+    file.write_text(f"{text}    def act(self, seen): return 1\n\n\nclass B(A): pass\n")
+    measured = Measured(
+        avoider="mine.py:A", sha256=sha256(file.read_bytes()).hexdigest(), machine="here", questions=9
+    )
+    profile = DecisionTimes(quantiles_s=(0.01, 0.02), measured=measured)
+    cases = [replace(timed(profile), controller=Driver(f"{file}:{name}")) for name in "AB"]
+    assert admit(cases[0]).driver is not None
+    with pytest.raises(InadmissibleError, match=r"a profile of .*mine\.py:B"):
+        admit(cases[1])
 
 
 @pytest.mark.parametrize("count", [0, -1, 1.5, "4", True])
