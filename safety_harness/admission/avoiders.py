@@ -263,13 +263,7 @@ def _is_copy(tested: Scenario, reference: Scenario) -> bool:
     """
     first, second = (_file_of(replace(side, avoider=str(side.under_test))) for side in (tested, reference))
     own, name = (file_and_name(side.under_test)[1] for side in (tested, reference))
-    if (
-        tested.safety_filter != reference.safety_filter
-        or first is None
-        or second is None
-        or own != name
-        or not (first.is_file() and second.is_file())
-    ):
+    if first is None or second is None or own != name or not (first.is_file() and second.is_file()):
         return False
     beside = first.parent == second.parent or not is_a_program(tested.under_test)
     return beside and filecmp.cmp(first, second, shallow=False)

@@ -79,7 +79,8 @@ class Episodes:
             expected = "no shield, since an agent must learn without its help"
             place = scenario.place("shield")
             raise InadmissibleError(place=place, expected=expected, got="one")
-        if isinstance(scenario.settings.avoidance.decision_time, DecisionTimes):
+        cost = scenario.settings.avoidance.decision_time
+        if isinstance(cost, DecisionTimes) and cost.quantiles_s[-1] > 0.0:
             expected = "no decision time, since an agent's action counts in its own tick"
             place = scenario.place("settings.avoidance.decision time")
             raise InadmissibleError(place=place, expected=expected, got="one")
