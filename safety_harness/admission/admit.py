@@ -170,15 +170,13 @@ class Admitted(Checked):
             seed(scenario.seed, Branch.CONTROLLER),
             scenario.hand_slots,
             self.guard(),
-            decision_times_s(
-                scenario.settings.avoidance.decision_time, 0.0, scenario.seed, scenario.ticks + 1
-            ),
+            decision_times_s(self.cost, 0.0, scenario.seed, scenario.ticks + 1),
         )
 
     @property
     def answers_later(self) -> bool:
         """Whether the answers of the scenario's controller cost simulated time."""
-        costs = isinstance(self.cost, DecisionTimes) and self.cost.quantiles_s[-1] > 0.0
+        costs = isinstance(self.cost, DecisionTimes) and self.cost.most_s > 0.0
         return self.scenario.driven and costs
 
     @property

@@ -7,7 +7,6 @@ program, but it may never end.  Any other model file is only read.  ``refuse_unu
 
 from __future__ import annotations
 
-import filecmp
 import hashlib
 import os
 import shlex
@@ -56,7 +55,6 @@ if TYPE_CHECKING:
 OPPOSITE, NEAREST = "opposite pose", "nearest candidate"
 NAMES = (*SHIPPED, OPPOSITE, NEAREST)
 SAFETY_FILTER = "--safety-filter"  # the option that names the filter of a trace
-UNFILTERED = "the unfiltered system"  # the reference of a comparison: the system without its safety filter
 FORMS = f"one of: {', '.join(NAMES)}; FILE.py:NAME; FILE{MODEL_SUFFIX}; FILE{ONNX_SUFFIX}"
 
 
@@ -83,7 +81,7 @@ class Avoiders:
 
     def avoider_for(self, scenario: Scenario) -> tuple[Avoider, str]:
         """Return the scenario's avoider and its file's hash; raise the errors of ``resolve_avoider``."""
-        path, name = _file_of(scenario), file_and_name(scenario.avoider)[1]
+        path, name = avoider_file_of(scenario), file_and_name(scenario.avoider)[1]
         if path is None or not is_a_program(scenario.avoider):
             source = scenario.avoider if path is None else (path, name)
             return self._functions(_Wanted(source, scenario.settings.steady, scenario))
@@ -147,7 +145,7 @@ def _existing_file(scenario: Scenario, place: Place) -> Path | None:
     reference = scenario.avoider
     if reference in (OPPOSITE, NEAREST):
         return None
-    path = _file_of(scenario)
+    path = avoider_file_of(scenario)
     if path is None:
         raise _no_avoider(scenario, place)
     if not path.is_file():
@@ -171,7 +169,7 @@ def _no_avoider(scenario: Scenario, place: Place) -> InadmissibleError:
 
 def avoider_sha256(scenario: Scenario) -> str:
     """Return the hash of the file of the scenario's avoider; empty if there is no file or no avoider."""
-    path = None if scenario.driven else _file_of(scenario)
+    path = None if scenario.driven else avoider_file_of(scenario)
     return "" if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
 
 
@@ -205,68 +203,6 @@ def one_of(avoider: str | None, controller: str | None) -> str | None:
         expected = "one of --avoider and --controller: only the visual servo asks an avoider"
         raise InadmissibleError.of_option("--controller", expected, "both")
     return avoider if controller is None else Driver(controller)
-
-
-def reference_for(tested: str | None, reference: str | None) -> str | None:
-    """Return the reference given by ``--against``, which is compared with the system under test.
-
-    The result is a ``Driver`` if ``reference`` names a controller of ours or a program.  It is also a
-    ``Driver`` if the tested system is a driver and no avoider has that name.  UNFILTERED stays as it is.
-    InadmissibleError if ``reference`` is the tested system itself.
-    """
-    from safety_harness.cell.controller.named import NAMES as CONTROLLERS  # slow, and few commands need it
-
-    driver = reference in CONTROLLERS or names_a_program(reference or "")
-    driver |= isinstance(tested, Driver) and reference not in (*NAMES, UNFILTERED)
-    refuse_itself(tested, reference)
-    return Driver(reference) if driver and reference is not None else reference
-
-
-def refuse_itself(tested: str | None, reference: str | None, option: str = "--against") -> None:
-    """Raise InadmissibleError if both references are one word, or one name in one file.
-
-    Args:
-        tested: The reference of the system under test; None: the scenario's own.
-        reference: The reference to compare with.
-        option: The option of ``reference``, for the error.
-
-    """
-    whole = {
-        (os.path.realpath(os.path.expanduser(file)), name) if file else (str(system), "")
-        for system in (tested, reference)
-        for file, name in [file_and_name(system or "")]
-    }
-    if tested is not None and len(whole) == 1:
-        got = f"{reference} itself; a comparison with itself has no findings"
-        raise InadmissibleError.of_option(option, f"another reference than {tested}", got)
-
-
-def refuse_same(tested: Scenario | None, reference: Scenario, option: str = "--against") -> None:
-    """Raise InadmissibleError if both scenarios test one system, also under an alias or in a copied file.
-
-    Args:
-        tested: The scenario under test; None: nothing to compare.
-        reference: The same scenario with the reference in place of its system.
-        option: The option of the reference, for the error.
-
-    """
-    if tested is None or tested.safety_filter != reference.safety_filter:
-        return
-    if tested == reference or _is_copy(tested, reference):
-        refuse_itself(reference.under_test, reference.under_test, option)
-
-
-def _is_copy(tested: Scenario, reference: Scenario) -> bool:
-    """Return whether the files of both scenarios' systems have the same bytes.
-
-    A copy of a program in another folder may read other files, so the function does not regard it as a copy.
-    """
-    first, second = (_file_of(replace(side, avoider=str(side.under_test))) for side in (tested, reference))
-    own, name = (file_and_name(side.under_test)[1] for side in (tested, reference))
-    if first is None or second is None or own != name or not (first.is_file() and second.is_file()):
-        return False
-    beside = first.parent == second.parent or not is_a_program(tested.under_test)
-    return beside and filecmp.cmp(first, second, shallow=False)
 
 
 def replay_command(
@@ -401,7 +337,7 @@ def folder_of(scenario: Scenario) -> Path | None:
     return scenario.file.parent if scenario.file is not None else None
 
 
-def _file_of(scenario: Scenario) -> Path | None:
+def avoider_file_of(scenario: Scenario) -> Path | None:
     """Return the path of the avoider's file, which need not exist; None for an avoider without a file."""
     if scenario.avoider in SHIPPED:
         return shipped_model(scenario.avoider)
@@ -432,19 +368,6 @@ def with_avoider(scenario: Scenario, reference: str, place: Place | None = None)
         expected = f"no avoider, since the scenario's controller {scenario.controller} does not ask any"
         raise InadmissibleError(place=place, expected=expected, got=repr(reference))
     return replace(scenario, **_placed(scenario, "avoider", "an avoider", reference, place))
-
-
-def with_reference(scenario: Scenario, reference: str, place: Place) -> Scenario:
-    """Return the scenario with the reference of a comparison in place of its avoider or controller.
-
-    With UNFILTERED as the reference, only the safety filter is left out.  InadmissibleError at ``place`` if
-    the reference cannot be used, or if there is no filter.
-    """
-    if reference != UNFILTERED:
-        return with_avoider(scenario, reference, place)
-    if not scenario.safety_filter:
-        raise InadmissibleError(place=place, expected="a scenario with a safety filter", got="one without")
-    return replace(scenario, safety_filter="")
 
 
 def _placed(scenario: Scenario, key: str, noun: str, reference: str, place: Place) -> dict[str, Any]:

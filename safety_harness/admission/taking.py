@@ -12,13 +12,8 @@ from pathlib import Path
 from typing import TypeVar
 
 from safety_harness.admission.admit import check
-from safety_harness.admission.avoiders import (
-    UNFILTERED,
-    refuse_same,
-    told_avoider,
-    with_avoider,
-    with_reference,
-)
+from safety_harness.admission.avoiders import told_avoider, with_avoider
+from safety_harness.admission.comparison import UNFILTERED, refuse_same, with_reference
 from safety_harness.base.exceptions import InadmissibleError, InputError, Place
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.write import write_scenario

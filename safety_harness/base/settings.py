@@ -275,6 +275,11 @@ class DecisionTimes:
     quantiles_s: tuple[float, ...]
     measured: Measured | None = None
 
+    @property
+    def most_s(self) -> float:
+        """The largest cost; 0 for decisions that cost nothing."""
+        return self.quantiles_s[-1]
+
 
 @dataclass(frozen=True, kw_only=True)
 class Avoidance:

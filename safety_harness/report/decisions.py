@@ -260,7 +260,7 @@ def cost_words(
     if cost.measured is not None:
         source = f"{cost.measured.questions:,} answers of {cost.measured.avoider} on {cost.measured.machine}"
         return f"drawn for each {noun} from {source}: median {middle}, at most {most}"
-    if cost.quantiles_s[-1] == 0.0:
+    if cost.most_s == 0.0:
         return NOT_MODELLED
     always = len(cost.quantiles_s) == 1
     return f"{most} {decision_noun}" if always else f"{least} to {most}, drawn for each {noun}"

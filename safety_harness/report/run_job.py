@@ -17,10 +17,10 @@ from safety_harness.admission.avoiders import (
     command_line_reference,
     one_of,
     option_of,
-    reference_for,
     replay_command,
     told_avoider,
 )
+from safety_harness.admission.comparison import reference_for
 from safety_harness.admission.repeatability import Repeatability, RepeatabilityResult
 from safety_harness.admission.run_processes import RunProcesses, run_processes
 from safety_harness.admission.taking import Incompatible, accept, made_equal

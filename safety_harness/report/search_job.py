@@ -11,7 +11,8 @@ from math import isfinite
 from pathlib import Path
 
 from safety_harness.admission.agreement import measured_agreement
-from safety_harness.admission.avoiders import one_of, option_of, reference_for, told_avoider
+from safety_harness.admission.avoiders import one_of, option_of, told_avoider
+from safety_harness.admission.comparison import reference_for
 from safety_harness.base.exceptions import OutputError, ScenarioError
 from safety_harness.base.interrupts import one_more_ctrl_c
 from safety_harness.base.output import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED, QUIET, Output

@@ -10,8 +10,9 @@ from math import isnan
 from weakref import WeakKeyDictionary
 
 from safety_harness.admission.admit import admit
-from safety_harness.admission.avoiders import told_avoider, with_reference
+from safety_harness.admission.avoiders import told_avoider
 from safety_harness.admission.claims import property_of
+from safety_harness.admission.comparison import with_reference
 from safety_harness.admission.trial import run_all
 from safety_harness.base.exceptions import InputError, Place
 from safety_harness.cell.simulation.worlds import world_of_trace

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted, Admitter
-from safety_harness.admission.avoiders import refuse_same, told_avoider, with_avoider
+from safety_harness.admission.avoiders import told_avoider, with_avoider
 from safety_harness.admission.claims import property_of
+from safety_harness.admission.comparison import refuse_same
 from safety_harness.admission.repeatability import Repeatability
 from safety_harness.admission.spaces import why_refused
 from safety_harness.admission.trial import run_all

@@ -12,7 +12,8 @@ from types import FrameType
 from weakref import WeakKeyDictionary, WeakSet
 
 from safety_harness.admission.admit import Admitted, Admitter, Checker, admit
-from safety_harness.admission.avoiders import command_line_reference, option_of, with_avoider, with_reference
+from safety_harness.admission.avoiders import command_line_reference, option_of, with_avoider
+from safety_harness.admission.comparison import with_reference
 from safety_harness.admission.trial import run_trial
 from safety_harness.base.exceptions import FlakyAvoiderError, InputError, Place
 from safety_harness.cell.avoidance.avoider import Avoider

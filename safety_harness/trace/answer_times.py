@@ -19,8 +19,7 @@ class AnswersTook:
     """The number of timed ``answers``, and of ``slow`` answers that took longer than ``limit_s`` [s].
 
     The limit is the largest cost of an answer in simulated time. If answers cost nothing, the limit is one
-    control period. ``slowest_s`` [s] is the longest wall-clock time of an
-    answer.
+    control period. ``slowest_s`` [s] is the longest wall-clock time of an answer.
     """
 
     answers: int = 0
@@ -62,6 +61,6 @@ def most_cost_s(trace: Trace) -> float:
     """Return the largest cost [s] in simulated time that an answer of the run may have."""
     cost = trace.scenario.settings.avoidance.decision_time
     if isinstance(cost, DecisionTimes):
-        return float(cost.quantiles_s[-1])
+        return cost.most_s
     drawn_s = () if trace.scenario.driven else trace.decisions["decision_time_s"]
     return float(np.max(drawn_s, initial=0.0))

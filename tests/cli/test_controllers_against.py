@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from safety_harness.admission.avoiders import reference_for
+from safety_harness.admission.comparison import reference_for
 from safety_harness.scenario.model import Driver
 from tests.cli.test_own_controller import MINE, PLAN, SPACE, VISIT, command
 

@@ -14,7 +14,7 @@ import pytest
 
 from safety_harness import load_trace
 from safety_harness.admission.admit import admit
-from safety_harness.admission.avoiders import UNFILTERED, with_reference
+from safety_harness.admission.comparison import UNFILTERED, with_reference
 from safety_harness.admission.repeatability import Repeatability
 from safety_harness.admission.taking import accept
 from safety_harness.admission.trial import judge, run_kinematic

@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable
 from copy import deepcopy
 from functools import lru_cache
-from math import ceil
 from typing import Any
 
 import numba
@@ -36,6 +35,7 @@ from safety_harness.cell.controller.shield import Guard, keep_apart, no_guard
 from safety_harness.cell.perception.hand_filter import FILTER_PARAMETERS
 from safety_harness.cell.perception.tracking import no_tracks
 from safety_harness.cell.robot.description import ArmModel
+from safety_harness.cell.robot.drive import delay_ticks
 from safety_harness.cell.robot.kinematics import links_in_base
 from safety_harness.cell.servoing.control import DesiredView
 from safety_harness.seams.contract import (
@@ -338,8 +338,7 @@ class _Computing:
     def began(self, tick: int, action: Action, period_s: float) -> None:
         """Keep the ``action`` whose computation begins at ``tick``."""
         cost_s = 0.0 if self.goes_on else float(self._times_s[min(tick, len(self._times_s) - 1)])
-        # 1e-9 makes seven periods seven ticks, although 0.07 / 0.01 is above 7 in float64.
-        self.counts_from = tick + ceil(cost_s / period_s - 1e-9)
+        self.counts_from = tick + delay_ticks(cost_s, period_s)
         self._action = deepcopy(action)  # the controller may use its arrays again
         self._acts += 1
 

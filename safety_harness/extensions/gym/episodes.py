@@ -80,7 +80,7 @@ class Episodes:
             place = scenario.place("shield")
             raise InadmissibleError(place=place, expected=expected, got="one")
         cost = scenario.settings.avoidance.decision_time
-        if isinstance(cost, DecisionTimes) and cost.quantiles_s[-1] > 0.0:
+        if isinstance(cost, DecisionTimes) and cost.most_s > 0.0:
             expected = "no decision time, since an agent's action counts in its own tick"
             place = scenario.place("settings.avoidance.decision time")
             raise InadmissibleError(place=place, expected=expected, got="one")

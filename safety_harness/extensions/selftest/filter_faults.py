@@ -23,9 +23,9 @@ from safety_harness.extensions.selftest.fault import (
     of_timing,
     seeded,
 )
+from safety_harness.extensions.selftest.shield_faults import FAR_M
 from safety_harness.extensions.selftest.system import ChangedSystem, Records
 
-FAR_M = 10.0
 OF_HANDS = (
     *("hand_count", "hands", "boxes_new", "boxes_time_s", "box_count", "boxes"),
     *("tracked", "last_seen_s", "predicted", "predicted_velocity", "predicted_covariance"),
@@ -53,7 +53,7 @@ def viewed(make: Callable[[float, Admitted], Callable[[Records], None]]) -> Seed
 
             calls.perceive = changed  # type: ignore[method-assign]
 
-        return replace(system, filter_edits=(*system.filter_edits, edit))
+        return system.with_filter(edit)
 
     return seed
 
@@ -74,7 +74,7 @@ def heard(make: Callable[[float, Admitted], Callable[[Records], bool]]) -> Seeds
 
             calls.filter = passed  # type: ignore[method-assign]
 
-        return replace(system, filter_edits=(*system.filter_edits, edit))
+        return system.with_filter(edit)
 
     return seed
 

@@ -62,6 +62,10 @@ class ChangedSystem:
         """Return the system with the controller that ``wrap`` makes around its own."""
         return replace(self, pilot=wrap)
 
+    def with_filter(self, edit: Callable[[FilterCalls], None]) -> ChangedSystem:
+        """Return the system with an edit of the safety filter's calls before each run."""
+        return replace(self, filter_edits=(*self.filter_edits, edit))
+
     def with_world(self, wrap: Callable[[Any], World]) -> ChangedSystem:
         """Return the system with the world that ``wrap`` makes around its own."""
         return replace(self, worlds=(*self.worlds, wrap))

@@ -265,7 +265,7 @@ def _refuse_unusable_avoiders(*, make: bool) -> None:
         if reference is not None:
             refuse_unusable_avoider(reference, option, make=make)
     if now.against is not None:
-        from safety_harness.admission.avoiders import refuse_itself
+        from safety_harness.admission.comparison import refuse_itself
 
         try:
             refuse_itself(now.avoider, now.against, "--safety-against")

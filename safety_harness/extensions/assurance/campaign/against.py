@@ -8,7 +8,8 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from safety_harness.admission.avoiders import option_of, reference_for
+from safety_harness.admission.avoiders import option_of
+from safety_harness.admission.comparison import reference_for
 from safety_harness.base.shipped.contents import is_shipped
 from safety_harness.base.whole_file import write_text
 from safety_harness.claims.properties.against import SCALES, TOLERANCE, p_words, paired_words
