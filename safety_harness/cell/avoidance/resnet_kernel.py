@@ -370,7 +370,8 @@ def decide(
         if places > 0:
             fill_factors(seeds[n], network.probability, factors)
         for member in range(members):
-            work[X, 0] = x
+            for k in range(WIDTH):  # an assignment of arrays takes 1.5 s to compile, for its error message
+                work[X, 0, k] = x[k]
             out = _stages(network.weight[member], network.bias[member], factors, work, X, Y)
             _answer(network, member, factors, work, out, answers)
         _summarise(network, answers, positions[n], spreads[n])

@@ -345,6 +345,7 @@ def _follow(
                 row += 1
         for i in range(positions.shape[1]):
             hands_before[i] = hands[i]
+        finest = 1
         advance_hands(hands, moves, samples, tcp_in_base_m[k], k * period_s, period_s)
         for i in range(positions.shape[1]):
             guide = hands[i].leader if hands[i].leader >= 0 else i
@@ -361,8 +362,9 @@ def _follow(
             heads = not even[i] and _heads_for_tcp(hands_before[guide], hands[guide], moves)
             if not moves_on or heads or hands[guide].recorded:
                 parts[k, i] = 1  # it rests, or its way is known only at the ticks
-        for part in range(1, parts[k].max() if parts.shape[1] else 1):
-            there, gone_s = hands_before.copy(), part * period_s / parts[k].max()
+            finest = max(finest, parts[k, i])
+        for part in range(1, finest):
+            there, gone_s = hands_before.copy(), part * period_s / finest
             advance_hands(there, moves, samples, tcp_in_base_m[k], k * period_s, gone_s)
             for i in range(positions.shape[1]):
                 for j in range(3):
