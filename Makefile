@@ -32,7 +32,7 @@ slow: OF_CORE = $(filter $(addsuffix %,$(filter-out --%,$(CORE) $(LIGHT))),$(NAM
 slow: warm
 	$(call run,$(SLOW) $(OF_CORE),$(ALONE))
 	$(call run,$(SLOW) $(LESS) $(filter-out $(OF_CORE),$(NAMED)))
-	$(BIN)/python $(SUITE) examples/suites --safety-derandomize
+	$(BIN)/python $(SUITE) examples/suites --safety-derandomize --safety-world kinematic
 
 # The core, quick and slow, where no wing is installed.
 test-core: warm
@@ -76,6 +76,7 @@ light: $(VENV)/tested
 long: warm
 	$(INSTALL) $(BIN)/python --no-deps example-robot-data==6.0.0
 	$(BIN)/python $(SUITE) -m long
+	$(BIN)/python $(SUITE) examples/suites --safety-derandomize
 
 # Machine code once, not by each worker.
 warm: $(VENV)/tested

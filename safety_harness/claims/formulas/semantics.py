@@ -245,7 +245,13 @@ def _bounds_where_triggered(
 
     ``trigger_low``, ``trigger_high``, ``low`` and ``high`` are of shape (n,).
     """
-    return np.where(trigger_high < 0.0, np.inf, low), np.where(trigger_low >= 0.0, high, np.inf)
+    least, most = low.copy(), high.copy()
+    for k in range(len(least)):
+        if trigger_high[k] < 0.0:
+            least[k] = np.inf
+        if not trigger_low[k] >= 0.0:
+            most[k] = np.inf
+    return least, most
 
 
 @compiled
