@@ -134,7 +134,7 @@ def test_an_edited_file_is_read_again(tmp_path: Path) -> None:
     assert [file.name for file in tmp_path.iterdir()] == ["mine.py"]  # and nothing is left beside it
 
 
-BAD_FILES = {
+NOT_IMPORTED = {
     "raises when imported": ("x = 1\n\ny = x / 0\n", "ZeroDivisionError: division by zero (mine.py:3)"),
     "raises in what it calls": (
         "import json\n\n\njson.loads('[')\n",
@@ -152,24 +152,26 @@ BAD_FILES = {
         "import no_such_module_at_all\n",
         "ModuleNotFoundError: No module named 'no_such_module_at_all' (mine.py:1)",
     ),
+    "holds a null byte": ("x = 1\x00\n", "SyntaxError: source code string cannot contain null bytes"),
+}
+NO_AVOIDERS = {  # all of them in one file, so that one process looks at them
     "raises when made": (
         "class Mine:\n    def __init__(self):\n        raise KeyError('weights')\n",
-        "KeyError: 'weights' (mine.py:3)",
+        "KeyError: 'weights' (mine.py:{last_line})",
     ),
     "exits when made": (
         "class Mine:\n    def __init__(self):\n        raise SystemExit\n",
-        "SystemExit (mine.py:3)",
+        "SystemExit (mine.py:{last_line})",
     ),
-    "holds a null byte": ("x = 1\x00\n", "SyntaxError: source code string cannot contain null bytes"),
     "needs arguments": (
         "class Mine:\n    def __init__(self, radius_m):\n        pass\n",
-        "TypeError: Mine.__init__() missing 1 required positional argument: 'radius_m'",
+        "TypeError: {name}.__init__() missing 1 required positional argument: 'radius_m'",
     ),
     "has nothing of that name": ("class Other:\n    pass\n", "no such name"),
-    "has no propose": ("class Mine:\n    name = 'mine'\n", "no such method in a Mine"),
+    "has no propose": ("class Mine:\n    name = 'mine'\n", "no such method in a {name}"),
     "has a propose that is no method": (
         "class Mine:\n    name = 'mine'\n    propose = 3\n",
-        "no such method in a Mine",
+        "no such method in a {name}",
     ),
     "has another signature": (
         "class Mine:\n    name = 'mine'\n    def propose(self, hand, tcp):\n        pass\n",
@@ -193,14 +195,34 @@ BAD_FILES = {
 }
 
 
-@pytest.mark.parametrize(("text", "got"), BAD_FILES.values(), ids=BAD_FILES.keys())
-def test_a_file_that_gives_no_avoider_is_refused_with_what_is_wrong(
+@pytest.fixture(scope="module")
+def no_avoiders(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a file that has them all: the k-th is ``Mine{k}``."""
+    folder = tmp_path_factory.mktemp("none")
+    write(
+        folder, "".join(text.replace("Mine", f"Mine{k}") for k, (text, _) in enumerate(NO_AVOIDERS.values()))
+    )
+    return folder
+
+
+@pytest.mark.parametrize(("text", "got"), NOT_IMPORTED.values(), ids=NOT_IMPORTED.keys())
+def test_a_file_that_cannot_be_imported_is_refused_with_what_is_wrong(
     text: str, got: str, tmp_path: Path
 ) -> None:
     write(tmp_path, text)
     error = refused("mine.py:Mine", tmp_path)
     assert error.got == got
     assert "Mine" in error.expected or "mine.py" in error.expected
+
+
+@pytest.mark.parametrize("what", NO_AVOIDERS)
+def test_what_is_no_avoider_in_a_file_is_refused_with_what_is_wrong(what: str, no_avoiders: Path) -> None:
+    k = list(NO_AVOIDERS).index(what)
+    name = f"Mine{k}"
+    error = refused(f"mine.py:{name}", no_avoiders)
+    last_line = sum(text.count("\n") for text, _ in list(NO_AVOIDERS.values())[: k + 1])
+    assert error.got == NO_AVOIDERS[what][1].format(name=name, last_line=last_line)
+    assert name in error.expected or "mine.py" in error.expected
 
 
 def test_ctrl_c_while_a_file_is_imported_is_not_swallowed(tmp_path: Path) -> None:

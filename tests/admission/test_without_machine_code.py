@@ -16,7 +16,7 @@ from safety_harness.scenario.model import Scenario
 from safety_harness.space.read import read_space
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
-DRAWS = 20
+DRAWS = 8
 ROUNDING = 1e-12
 
 

@@ -86,7 +86,10 @@ def test_drives_later_than_its_reaction_time_are_refused(drives: str, too_short:
     check(parse_scenario(text + f"shield: {{reaction time: {enough}}}\n"))
 
 
-LATE = ("lag: 2 ms", "lag: 20 ms", "torque limit: 100 %", "dead time: 8 ms")
+LATE = (
+    *("lag: 2 ms", "torque limit: 100 %", "dead time: 8 ms"),
+    pytest.param("lag: 20 ms", marks=pytest.mark.long),
+)
 
 
 def files_in(folder: Path, drives: str, shield: str) -> dict[str, Path]:

@@ -12,7 +12,10 @@ import safety_harness
 from safety_harness.cell.avoidance.model_file import load_model, save_model
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS
 from safety_harness.cli.fuzz import fuzz
+from safety_harness.report import search_job
+from safety_harness.report.search_attribution import SearchAttribution
 from safety_harness.search import session as search_session
+from safety_harness.search.counterexample import Explanation
 from tests.search.short_space import TEXT
 
 SPACE = TEXT.replace("400 ms", "700 ms").replace("0.2 m/s to 2 m/s", "0.45 m/s to 0.6 m/s")
@@ -99,14 +102,31 @@ Beside = of(given=lambda self, position: position + np.array([0.0, 0.04, 0.0]))
 Doubts = type("Doubts", (Sure,), {"most_m": 0.05})
 Within = of(way=lambda self, away, hand, tcp: aside(away) if hand[0] <= 0.78 else away)
 """
-HARMLESS = ("Whole", "Seed1", "Wider", "Tick", "Higher", "Longer")
+HARMLESS = ("Whole", "Seed1", "Tick")
 # Less of the same, and others of the same kind.
 LESS = (
     *("Rounded1um", "Rounded10um", "Rounded100um", "Quarter", "Half", "Power", "Single", "Half16", "Down"),
-    *("Seed2", "Seed3", "Seed4", "Seed5", "More", "YetMore", "Twice", "Narrower"),
+    *(
+        "Seed2",
+        "Seed3",
+        "Seed4",
+        "Seed5",
+        "More",
+        "YetMore",
+        "Twice",
+        "Narrower",
+        "Wider",
+        "Higher",
+        "Longer",
+    ),
 )
 CLAIMS = ("hand distance never below 100 mm", "proposals lead away to within 10 mm")
-FAULTS = ("Beyond", "Stays", "OneInThree", "Silent", pytest.param("Towards", marks=pytest.mark.long))
+FAULTS = (
+    *("Beyond", "OneInThree", "Silent"),
+    *(
+        pytest.param(name, marks=pytest.mark.long) for name in ("Stays", "Towards")
+    ),  # everywhere: found at once
+)
 
 
 @pytest.fixture
@@ -116,6 +136,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(search_session, "MOST_SHRUNK", 1)
     # Whether it answers alike when asked again is told apart from whether it differs.
     monkeypatch.setattr(search_session.SearchSession, "_ask_again", lambda session: None)
+    # So are causes; and the page before they are known is another's matter.
+    monkeypatch.setattr(SearchAttribution, "explain", lambda *_: Explanation())
+    monkeypatch.setattr(search_job, "_write_interim", lambda session: None)
     (tmp_path / "space.yaml").write_text(SPACE)
     (tmp_path / "mine.py").write_text(FILE)
     return tmp_path
@@ -149,7 +172,10 @@ def test_a_fault_is_a_difference(name: str, folder: Path) -> None:
     assert json.loads((folder / name / "findings.json").read_text())["counterexamples"] != []
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.long) for seed in (2, 3))])
+SEEDS = (0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2, 3)))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
 def test_a_fault_in_a_tenth_of_all_places_is_found_with_any_seed(seed: int, folder: Path) -> None:
     assert searched("OneInTen", 100, seed=seed) == DIFFERS
 
@@ -188,28 +214,18 @@ def test_more_doubt_alone_is_no_difference(folder: Path) -> None:
     assert "a greater share in" in (folder / "Doubts" / "fuzz.html").read_text()
 
 
-def test_a_network_trained_from_another_seed_is_no_difference(folder: Path) -> None:
+@pytest.mark.parametrize("seed", SEEDS[:3])
+def test_a_network_trained_from_another_seed_is_no_difference(seed: int, folder: Path) -> None:
     """It moves answers by up to 24 mm, so that each is significantly worse than the other in some places."""
     models = Path(safety_harness.__file__).parent / "models"
     one, several = (load_model(models / f"{name}.safetensors") for name in ("student", "student-ensemble"))
     own = {f"0/{name[2:]}": each for name, each in several.tensors.items() if name[0] == "1"}
     other = replace(several, tensors=own, members=1, passes=one.passes, calibration=one.calibration)
     save_model(other, Path("retrained.safetensors"))
-    for seed in range(3):
-        out = Path(f"retrained-{seed}")
-        assert (
-            fuzz(
-                Path("space.yaml"),
-                out=out,
-                avoider="retrained.safetensors",
-                against="student",
-                claims=list(CLAIMS),
-                budget=100,
-                seed=seed,
-            )
-            == AS_EXPECTED
-        )
-        assert json.loads((out / "findings.json").read_text())["distinct"] == []
+    against = {"avoider": "retrained.safetensors", "against": "student"}
+    out, claims = Path("out"), list(CLAIMS)
+    assert fuzz(Path("space.yaml"), out=out, **against, claims=claims, budget=100, seed=seed) == AS_EXPECTED
+    assert json.loads((out / "findings.json").read_text())["distinct"] == []
 
 
 @pytest.mark.parametrize(

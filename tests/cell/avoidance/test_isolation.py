@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from threading import Timer
@@ -38,18 +38,19 @@ class Mine:
     asked = 0
     def propose(self, *, hand_position_in_base_m, tcp_position_in_base_m, seed):
         self.asked += 1
-        if seed == 1:
+        if seed % 10 == 1:
 """
 TAIL = """
         return Proposal(2.0 * tcp_position_in_base_m - hand_position_in_base_m, [0.0, 0.0, self.asked])
 """
-GOOD, BAD = 0, 1  # seeds
+GOOD, BAD = 0, 1  # seeds; 11, 21 and so on are bad too
 Make = Callable[..., IsolatedAvoider]
+Plain = Callable[[], IsolatedAvoider]
 
 
 @pytest.fixture
 def make(tmp_path: Path) -> Make:
-    """An avoider that does something bad when it is asked with the seed 1; its spread counts questions."""
+    """An avoider that does something bad when it is asked with a bad seed; its spread counts questions."""
 
     def made(bad: str = "pass", *, more: str = "", before: str = "") -> IsolatedAvoider:
         body = "".join(f"            {line}\n" for line in bad.splitlines())
@@ -58,6 +59,14 @@ def make(tmp_path: Path) -> Make:
         return isolated_avoider(file, "Mine", Place(field="--avoider"))
 
     return made
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Plain:
+    """Avoiders that do nothing bad, of one file, which has one process for tests that follow each other."""
+    file = tmp_path_factory.mktemp("plain") / "mine.py"
+    file.write_text(HEAD + "            pass\n" + TAIL)
+    return lambda: isolated_avoider(file, "Mine", Place(field="--avoider"))
 
 
 def asked(avoider: Avoider, seed: int = GOOD, limit_s: float = 30.0) -> Answer:
@@ -89,12 +98,40 @@ def gone_soon(process: int) -> bool:
     return not alive(process)
 
 
-def test_an_answer_has_the_bits_that_it_has_at_home(make: Make) -> None:
-    answer = asked(make(), seed=2**64 - 1)
+def test_an_answer_has_the_bits_that_it_has_at_home(plain: Plain) -> None:
+    answer = asked(plain(), seed=2**64 - 1)
     assert answer.proposal.position_in_base_m.tobytes() == (2.0 * HERE - HAND).tobytes()
     assert answer.proposal.position_in_base_m.dtype == np.float64
     assert answer.latency_s > 0.0
     assert np.isnan(answer.spread_threshold_m)
+
+
+def test_each_avoider_of_a_file_has_a_memory_of_its_own(plain: Plain) -> None:
+    first, second = plain(), plain()
+    assert [count(asked(first)) for _ in range(3)] == [1, 2, 3]
+    assert count(asked(second)) == 1
+
+
+def test_a_fork_of_ours_has_a_process_of_its_own(plain: Plain) -> None:
+    avoider = plain()
+    assert count(asked(avoider)) == 1
+    fork = os.fork()
+    if fork == 0:
+        code = 9
+        try:
+            code = count(asked(avoider))  # anew: its first question once more, then this one
+            gc.collect()
+        finally:
+            os._exit(code)
+    assert os.waitstatus_to_exitcode(os.waitpid(fork, 0)[1]) == 2
+    assert count(asked(avoider)) == 2
+
+
+def test_what_is_no_answer_there_is_none_here(plain: Plain, monkeypatch: pytest.MonkeyPatch) -> None:
+    avoider = plain()
+    sent = Answer(Proposal(np.array([np.inf, 0.0, 0.0]), np.zeros(3)))
+    monkeypatch.setattr(avoider, "_answered", lambda *args, **kwargs: iter([sent]))
+    assert "not finite" in avoider.answers([Question(HAND, HERE, 0, 1.0)], together=False)[0].fault
 
 
 def test_a_threshold_that_changes_is_the_one_of_the_question(make: Make) -> None:
@@ -112,12 +149,6 @@ def test_its_memory_lasts_as_long_as_its_process(make: Make) -> None:
     assert count(asked(avoider)) == 2  # anew: its first question once more, then this one
 
 
-def test_each_avoider_of_a_file_has_a_memory_of_its_own(make: Make) -> None:
-    first, second = make(), make()
-    assert [count(asked(first)) for _ in range(3)] == [1, 2, 3]
-    assert count(asked(second)) == 1
-
-
 ENDS = {
     "os._exit(0)": "its process ended with exit status 0",
     "os.kill(os.getpid(), signal.SIGKILL)": "its process was ended by SIGKILL",
@@ -130,14 +161,22 @@ ENDS = {
 }
 
 
-@pytest.mark.parametrize(("bad", "fault"), ENDS.items(), ids=[bad[:20] for bad in ENDS])
-def test_a_process_that_ends_is_a_fault_of_that_decision_alone(bad: str, fault: str, make: Make) -> None:
-    avoider = make(bad)
-    answer = asked(avoider, BAD)
-    assert answer.fault == fault
-    assert not answer.late
-    assert np.isnan(answer.proposal.position_in_base_m).all()
-    assert count(asked(avoider)) == 1
+def each_in_turn(number: str, bad: Iterable[str]) -> str:
+    """What does the k-th of ``bad`` where ``number`` is k."""
+    return "\n".join(
+        f"if {number} == {k}:\n" + "\n".join(f"    {line}" for line in one.splitlines())
+        for k, one in enumerate(bad)
+    )
+
+
+def test_a_process_that_ends_is_a_fault_of_that_decision_alone(make: Make) -> None:
+    avoider = make(each_in_turn("seed // 10", ENDS))
+    for k, fault in enumerate(ENDS.values()):
+        answer = asked(avoider, 10 * k + BAD)
+        assert answer.fault == fault
+        assert not answer.late
+        assert np.isnan(answer.proposal.position_in_base_m).all()
+        assert count(asked(avoider)) == 1
 
 
 SURVIVED = {
@@ -157,11 +196,7 @@ SURVIVED = {
 
 
 def test_what_it_raises_or_returns_is_told_and_its_process_goes_on(make: Make) -> None:
-    body = "\n".join(
-        f"if self.asked == {k}:\n" + "\n".join(f"    {line}" for line in bad.splitlines())
-        for k, bad in enumerate(SURVIVED, 1)
-    )
-    avoider = make(body)
+    avoider = make(each_in_turn("self.asked - 1", SURVIVED))
     faults = [asked(avoider, BAD).fault for _ in SURVIVED]
     for said, expected in zip(faults, SURVIVED.values(), strict=True):
         assert said.partition(" (mine.py:")[0].startswith(expected.partition(" (mine.py:")[0])
@@ -281,21 +316,6 @@ def test_ctrl_c_passes_and_the_next_question_gets_its_own_answer(make: Make) -> 
     assert count(asked(avoider)) == 1
 
 
-def test_a_fork_of_ours_has_a_process_of_its_own(make: Make) -> None:
-    avoider = make()
-    assert count(asked(avoider)) == 1
-    fork = os.fork()
-    if fork == 0:
-        code = 9
-        try:
-            code = count(asked(avoider))  # anew: its first question once more, then this one
-            gc.collect()
-        finally:
-            os._exit(code)
-    assert os.waitstatus_to_exitcode(os.waitpid(fork, 0)[1]) == 2
-    assert count(asked(avoider)) == 2
-
-
 def test_it_does_not_outlive_us(make: Make, tmp_path: Path) -> None:
     make(f"open({str(tmp_path / 'pid')!r}, 'w').write(str(os.getpid()))\n" + STUBBORN)
     program = f"""
@@ -339,13 +359,6 @@ def test_a_file_that_ends_the_process_of_others_costs_them_their_memory_alone(ma
     finally:
         del os.environ["ENDS"]
     assert count(asked(first)) == 2
-
-
-def test_what_is_no_answer_there_is_none_here(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
-    avoider = make()
-    sent = Answer(Proposal(np.array([np.inf, 0.0, 0.0]), np.zeros(3)))
-    monkeypatch.setattr(avoider, "_answered", lambda *args, **kwargs: iter([sent]))
-    assert "not finite" in avoider.answers([Question(HAND, HERE, 0, 1.0)], together=False)[0].fault
 
 
 def test_many_asked_together_that_hang_are_asked_in_turn_and_end_the_run(

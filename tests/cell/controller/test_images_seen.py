@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,7 @@ def cell(*faults: Fault, camera: Any = CAMERA) -> Scenario:
     return replace(base, settings=settings, avoider=NO_AVOIDER, faults=faults)
 
 
+@cache
 def seen_in(*faults: Fault) -> tuple[Looks, Trace]:
     looks = Looks()
     return looks, run_trial(admit(cell(*faults), controller=looks))

@@ -84,7 +84,7 @@ def turns_apart(joints: np.ndarray, others: np.ndarray) -> np.ndarray:
 def test_a_pose_that_joints_within_limits_give_is_reached_exactly_within_limits(name: str) -> None:
     arm = arm_named(name)
     inverse = InverseKinematics(arm)
-    count = 15 if name in OTHER_COUNTS else 25  # a pose of arms made up anyhow takes ten times as long
+    count = 8 if name in OTHER_COUNTS else 12  # a pose of arms made up anyhow takes ten times as long
     for joints, reference in zip(some(arm, count, 1), some(arm, count, 2), strict=True):
         pose = pose_at(arm, joints)
         found = inverse.nearest(pose, reference)
@@ -96,7 +96,7 @@ def test_a_pose_that_joints_within_limits_give_is_reached_exactly_within_limits(
 @pytest.mark.parametrize("name", SIX + SEVEN)
 def test_every_branch_that_is_found_gives_the_pose_and_none_is_there_twice(name: str) -> None:
     arm = arm_named(name)
-    for joints in some(arm, 5, 3):
+    for joints in some(arm, 3, 3):
         pose = pose_at(arm, joints)
         branches = InverseKinematics(arm).branches(pose)
         assert len(branches) > 0
@@ -170,7 +170,7 @@ def test_the_nearest_found_for_a_ur10_is_the_closed_forms() -> None:
 @pytest.mark.parametrize("name", SIX + SEVEN)
 def test_from_close_by_a_pose_is_reached_close_by(name: str) -> None:
     arm, rng = arm_named(name), np.random.default_rng(9)
-    for joints in some(arm, 60, 10):
+    for joints in some(arm, 30, 10):
         shifted = np.clip(
             joints + rng.normal(0.0, 0.02, len(joints)), arm.position_lower_rad, arm.position_upper_rad
         )

@@ -32,7 +32,7 @@ from safety_harness.trace.unmeasured import knowing
 SCENARIOS = Path(__file__).parents[3] / "scenarios"
 IN_KINEMATIC = {one.name: one for one in read_all_scenarios(SCENARIOS) if one.name != "rendered-images"}
 EVERY = tuple(Claim(sentence=entry.example, expected=Verdict.HOLDS) for entry in CATALOGUE)
-SEED, MASKS, BATCHES, QUICK = 20261123, 1_000, 10, 3  # each batch has masks of all shipped runs
+SEED, MASKS, BATCHES, QUICK = 20261123, 1_000, 13, 1  # each batch has masks of all shipped runs
 
 
 @cache
