@@ -84,6 +84,8 @@ def test_is_slow(scenario, simulate):
     assert_holds("TCP speed never above 250 mm/s", simulate(scenario))
 """
 
+INI = "[pytest]\nfilterwarnings = error\n"
+
 Run = Callable[..., pytest.RunResult]
 
 
@@ -108,13 +110,15 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> Iterator[subprocess.Po
 
 @pytest.fixture
 def run(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Run:
-    """Pytest with the plug-in, whether it is installed or not, in a process of its own.
+    """Pytest with the plug-in, whether it is installed or not, in a process of its own; in the kinematic world.
+
+    A test of the world that is taken without a setting writes ``INI`` alone.
 
     ``fresh`` starts that process from nothing, as a user does.
     """
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]))
     monkeypatch.setenv("SAFETY_HARNESS_CACHE", str(CACHE))
-    pytester.makeini("[pytest]\nfilterwarnings = error\n")
+    pytester.makeini(f"{INI}safety_world = kinematic\n")
     installed = any(entry.value == PLUGIN for entry in entry_points(group="pytest11"))
     outputs = [str(pytester.path.parent / f"{pytester.path.name}.{name}") for name in ("out", "err")]
 

@@ -1,11 +1,12 @@
 """A process that has loaded what the plug-in's sessions need, and forks for each: seconds less a session.
 
 A line of standard input is a session: arguments, folder, environment and the files of its output; its exit
-code is the line that comes back.  The plug-in itself is left to the session.
+code is the line that comes back.  The plug-in is imported here and registered by the session.
 """
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import random
@@ -14,7 +15,10 @@ from pathlib import Path
 
 import hypothesis  # noqa: F401 (for its import, as those below)
 import pytest
+import xdist.looponfail
+import xdist.newhooks
 import xdist.plugin  # noqa: F401
+from _pytest.config import builtin_plugins
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import judge, run_kinematic
@@ -23,6 +27,7 @@ from safety_harness.report import decisions  # noqa: F401
 from safety_harness.scenario import expand  # noqa: F401
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.space import strategy  # noqa: F401
+from safety_harness.testing.plugin import collecting, ending, payloads, plugin, running  # noqa: F401
 
 # That the package is there before pytest, which would rewrite its assertions if it had any.
 LOADED = ("-W", "ignore:Module already imported so cannot be rewritten:pytest.PytestAssertRewriteWarning")
@@ -43,6 +48,8 @@ def session(args: list[str], folder: str, environment: dict[str, str], out: str,
 
 
 def main() -> None:
+    for name in builtin_plugins:  # of pytest, which a session loads one by one
+        importlib.import_module(f"_pytest.{name}")
     run = run_kinematic(admit(parse_scenario(Path(sys.argv[1]).read_text(), file=Path(sys.argv[1]))))
     judge(run)  # loads machine code
     while line := sys.stdin.readline():

@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 
 from safety_harness.scenario.ours import is_ours
+from tests.basis import rests_on
+from tests.testing.plugin.conftest import INI
 
 DISTANCE, SPEED = "hand distance never below 50 mm", "TCP speed never above 250 mm/s"
 
@@ -20,8 +22,14 @@ def test_claims_are_items_that_k_and_ids_and_lf_select(run, project: Path) -> No
     run(f"fine.yaml::{DISTANCE}").assert_outcomes(passed=1)
 
 
-def test_a_failure_tells_margin_moment_decision_picture_and_commands(run, project: Path) -> None:
+def test_a_failure_tells_margin_moment_decision_picture_and_commands(
+    run, pytester: pytest.Pytester, project: Path
+) -> None:
+    """In the world that is taken where no setting names one."""
+    pytest.importorskip("pybullet")
+    pytester.makeini(INI)
     result = run("fast.yaml")
+    assert rests_on(result.stdout.str(), "PyBullet")
     result.assert_outcomes(passed=1, failed=1)
     result.stdout.fnmatch_lines(
         [

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.testing.plugin.conftest import INI
+
 DISTANCE, SPEED = "hand distance never below 50 mm", "TCP speed never above 250 mm/s"
 
 
@@ -17,7 +19,10 @@ def kept(project: Path) -> list[Path]:
     return sorted(file for file in (project / ".safety-harness").rglob("*.yaml") if file.is_file())
 
 
-def test_a_failure_is_made_smaller_kept_and_tried_first_next_time(run, project: Path) -> None:
+def test_a_failure_is_made_smaller_kept_and_tried_first_next_time(
+    run, pytester: pytest.Pytester, project: Path
+) -> None:
+    pytester.makeini(INI)
     first = run("test_it.py", "--safety-derandomize")
     first.assert_outcomes(passed=1, failed=1)
     first.stdout.fnmatch_lines(
@@ -94,7 +99,10 @@ def test_where_the_space_varies_the_avoider_that_of_the_kept_file_is_said_to_be_
     result.stdout.fnmatch_lines(["  with the avoider of the file in which it is kept: 1"])
 
 
-def test_a_failure_of_an_object_prints_no_command_that_runs_another_avoider(run, project: Path) -> None:
+def test_a_failure_of_an_object_prints_no_command_that_runs_another_avoider(
+    run, pytester: pytest.Pytester, project: Path
+) -> None:
+    pytester.makeini(INI)
     (project / "test_it.py").write_text(
         "from safety_harness.testing import assert_holds\n"
         "from avoiders import Upwards\n"
