@@ -110,9 +110,9 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> Iterator[subprocess.Po
 
 @pytest.fixture
 def run(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Run:
-    """Pytest with the plug-in, whether it is installed or not, in a process of its own; in the kinematic world.
+    """Pytest with the plug-in, whether it is installed or not, in a process of its own.
 
-    A test of the world that is taken without a setting writes ``INI`` alone.
+    Its world is the kinematic one; a test of the world that is taken without a setting writes ``INI`` alone.
 
     ``fresh`` starts that process from nothing, as a user does.
     """
