@@ -182,20 +182,37 @@ def without() -> Trace:
     return run_kinematic(admit(parse_scenario(SCENARIO)))
 
 
+def in_a_folder(factory: pytest.TempPathFactory, reference: str, text: str = SCENARIO) -> Trace:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(factory.mktemp("filtered"))
+        Path("filters.py").write_text(FILTERS)
+        return run_with(reference, text)
+
+
 @pytest.fixture(scope="module")
 def halves(tmp_path_factory: pytest.TempPathFactory) -> Trace:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(tmp_path_factory.mktemp("halves"))
-        Path("filters.py").write_text(FILTERS)
-        return run_with("filters.py:Halves")
+    return in_a_folder(tmp_path_factory, "filters.py:Halves")
+
+
+@pytest.fixture(scope="module")
+def passes(tmp_path_factory: pytest.TempPathFactory) -> Trace:
+    return in_a_folder(tmp_path_factory, "filters.py:Passes")
+
+
+@pytest.fixture(scope="module")
+def stops_once(tmp_path_factory: pytest.TempPathFactory) -> Trace:
+    """At tick 19, long before the hand comes."""
+    quiet = SCENARIO.replace("wait: 300 ms", "wait: 1.5 s").replace("duration: 1.6 s", "duration: 3 s")
+    return in_a_folder(tmp_path_factory, "filters.py:StopsOnce", quiet)
 
 
 @pytest.mark.parametrize("driven", [False, True])
-def test_a_filter_that_returns_the_command_changes_no_bit(driven: bool) -> None:
-    text = SCENARIO.replace("avoider: opposite pose", "controller: stop when near") if driven else SCENARIO
-    text = text.replace("tcp start:", "safety filter: filters.py:Passes\ntcp start:") if driven else text
-    filtered = run_with("" if driven else "filters.py:Passes", text)
-    plain = run_kinematic(admit(parse_scenario(text.replace("safety filter: filters.py:Passes\n", ""))))
+def test_a_filter_that_returns_the_command_changes_no_bit(
+    driven: bool, without: Trace, passes: Trace
+) -> None:
+    filtered, plain = passes, without
+    if driven:
+        filtered, plain = driven_by_stop_when_near("filters.py:Passes"), driven_by_stop_when_near("")
     for name in plain.ticks.dtype.names or ():
         floats = plain.ticks[name].dtype.kind == "f"
         assert np.array_equal(plain.ticks[name], filtered.ticks[name], equal_nan=floats), name
@@ -217,9 +234,8 @@ def test_the_trace_has_the_wanted_and_the_sent_command_and_a_flag_where_they_dif
     assert np.abs(wanted).max() <= np.abs(without.ticks["demanded_joint_velocity_radps"]).max() + 1e-12
 
 
-def test_after_a_stop_of_the_filter_the_arm_stands_until_the_restart_delay_is_over() -> None:
-    quiet = SCENARIO.replace("wait: 300 ms", "wait: 1.5 s")
-    trace = run_with("filters.py:StopsOnce", quiet)
+def test_after_a_stop_of_the_filter_the_arm_stands_until_the_restart_delay_is_over(stops_once: Trace) -> None:
+    trace = stops_once
     held = np.flatnonzero(trace.filtered["held"])  # the filter stops at tick 19, and lets all else pass
     assert held[0] == 20
     released = held[-1]  # the first tick at which the command passes again, by the filter's own record of it
@@ -233,7 +249,8 @@ def test_after_a_stop_of_the_filter_the_arm_stands_until_the_restart_delay_is_ov
 
 def driven_by_stop_when_near(reference: str) -> Trace:
     text = SCENARIO.replace("avoider: opposite pose", "controller: stop when near")
-    return run_with("", text.replace("tcp start:", f"safety filter: {reference}\ntcp start:"))
+    line = f"safety filter: {reference}\n" if reference else ""
+    return run_with("", text.replace("tcp start:", f"{line}tcp start:"))
 
 
 def test_a_filter_that_overrides_a_protective_stop_violates_the_claim() -> None:
@@ -256,9 +273,8 @@ def test_commands_are_compared_by_their_fields_and_a_stop_that_lasts_is_not_need
     assert not held[stops].any()
 
 
-def test_after_a_stop_of_the_filter_the_acceleration_is_bounded() -> None:
-    quiet = SCENARIO.replace("wait: 300 ms", "wait: 1.5 s").replace("duration: 1.6 s", "duration: 3 s")
-    trace = run_with("filters.py:StopsOnce", quiet)
+def test_after_a_stop_of_the_filter_the_acceleration_is_bounded(stops_once: Trace) -> None:
+    trace = stops_once
     pose = trace.ticks["transform_tcp_to_base"][:, :3, 3]
     speed_mps = np.linalg.norm(np.diff(pose, axis=0), axis=1) / 0.008
     begins = np.flatnonzero((speed_mps[1:] > 1e-3) & (speed_mps[:-1] < 1e-4) & (trace.time_s[1:-1] > 0.3))
@@ -336,10 +352,12 @@ def test_a_filter_without_memory_repeats_itself() -> None:
     assert not repeatability.check().problem
 
 
-def test_the_claim_catches_needless_changes_and_no_others(without: Trace, halves: Trace) -> None:
+def test_the_claim_catches_needless_changes_and_no_others(
+    without: Trace, halves: Trace, passes: Trace
+) -> None:
     assert needless(without).verdict is Verdict.INCONCLUSIVE
-    passes = needless(run_with("filters.py:Passes"))
-    assert (passes.verdict, passes.margin) == (Verdict.HOLDS, 1.0)
+    passing = needless(passes)
+    assert (passing.verdict, passing.margin) == (Verdict.HOLDS, 1.0)
     needlessly = needless(halves)
     assert needlessly.verdict is Verdict.VIOLATED
     assert needlessly.worst_time_s == 0.0  # the hand is still far away, and the arm slow

@@ -17,9 +17,12 @@ from safety_harness.cli.fuzz import fuzz
 from safety_harness.cli.scenario_commands import replay, run
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.session import plan_of
+from safety_harness.extensions.assurance.certification import whose_fault
 from safety_harness.extensions.assurance.commands.certify import certify
+from safety_harness.report import search_attribution
 from safety_harness.scenario.files import display_path
 from safety_harness.scenario.references import portable
+from safety_harness.search import session as search_session
 from safety_harness.trace.store import load_trace, save_trace
 from tests.whole.test_execution import OWN, SCENARIO, SMALL_PLAN, SPACE
 
@@ -33,6 +36,15 @@ class Mine:
     def propose(self, *, hand_position_in_base_m, tcp_position_in_base_m, seed):
         raise ValueError("never")
 """
+
+
+@pytest.fixture(autouse=True)
+def _few_causes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One of each kind that is written."""
+    monkeypatch.setattr(search_session, "SHRINKING_RUNS", 2)
+    monkeypatch.setattr(search_session, "MOST_SHRUNK", 1)
+    monkeypatch.setattr(search_attribution, "MOST_ATTRIBUTED", 1)
+    monkeypatch.setattr(whose_fault, "MOST", 1)
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +110,7 @@ def test_what_run_fuzz_and_certify_write_names_no_folder_of_this_machine(
     base = project if absolute else Path()
     out = base / f"out-{absolute}"
     assert run([base / "scenario" / "scenario.yaml"], out / "run") in (AS_EXPECTED, DIFFERS)
-    assert fuzz(base / "space" / "space.yaml", out=out / "fuzz", budget=4) in (AS_EXPECTED, DIFFERS)
+    assert fuzz(base / "space" / "space.yaml", out=out / "fuzz", budget=2) in (AS_EXPECTED, DIFFERS)
     assert certify(base / "plan" / "plan.yaml", out=out / "report", workers=1) in (AS_EXPECTED, DIFFERS)
     refuse_paths(out, project)
     trace = out / "run" / "traces" / "scenario.trace"

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from safety_harness.admission import repeatability
+from safety_harness.extensions.assurance.certification import whose_fault
 from tests.cli.test_own_controller import (
     MINE_AS_OPTION,
     PLAN,
@@ -27,17 +29,21 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(autouse=True)
 def _there(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     search_little_in(folder, monkeypatch)
+    for module, least in ((whose_fault, "MOST"), (repeatability, "LEAST_RUNS")):
+        monkeypatch.setattr(module, least, 1)  # each begins a process
 
 
 @pytest.fixture(scope="module")
 def ledgers(folder: Path) -> tuple[str, str]:
     """Two campaigns over the same episodes, with another controller each."""
     (folder / "other.yaml").write_text(PLAN.replace("mine.py:StopAndGo", "stop when near"))
-    for name in ("plan", "other"):
-        ledger = folder / f"{name}.sqlite"
-        plan = str(folder / f"{name}.yaml")
-        found = command("campaign", "run", plan, "--ledger", str(ledger), "--workers", "1")
-        assert found.exit_code == 0, found.output
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(repeatability, "LEAST_RUNS", 1)
+        for name in ("plan", "other"):
+            ledger = folder / f"{name}.sqlite"
+            plan = str(folder / f"{name}.yaml")
+            found = command("campaign", "run", plan, "--ledger", str(ledger), "--workers", "1")
+            assert found.exit_code == 0, found.output
     return "plan.sqlite", "other.sqlite"
 
 

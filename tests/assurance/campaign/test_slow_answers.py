@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
@@ -91,6 +92,19 @@ def filled(folder: Path, plan: Plan, name: str = "slow") -> Path:
         return ledger.path
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The ledger of the slow one."""
+    folder = tmp_path_factory.mktemp("slow")
+    return filled(folder, small(folder))
+
+
+@pytest.fixture
+def path(made: Path, tmp_path: Path) -> Path:
+    """A copy of it, to be altered."""
+    return Path(shutil.copy(made, tmp_path / "ledger.sqlite"))
+
+
 @pytest.fixture
 def asked_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Not again, and not whose fault it was: both take their time with a slow controller."""
@@ -99,9 +113,10 @@ def asked_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(("name", "slow"), [("Slow", True), ("Quick", False)])
-def test_every_answer_is_timed_alone_and_beside_others(tmp_path: Path, name: str, slow: bool) -> None:
-    plan = small(tmp_path, name)
-    with Ledger.open(filled(tmp_path, plan)) as ledger:
+def test_every_answer_is_timed_alone_and_beside_others(
+    made: Path, tmp_path: Path, name: str, slow: bool
+) -> None:
+    with Ledger.open(made if slow else filled(tmp_path, small(tmp_path, name))) as ledger:
         each = [ledger.times(stratum) for stratum in range(2)]
         assert [one.answers for one in each] == [RUNS * TICKS] * 2
         assert [one.limit_s for one in each] == [0.008] * 2
@@ -121,8 +136,7 @@ def test_one_call_for_all_says_nothing_of_one_answer(tmp_path: Path) -> None:
         assert ledger.times(1) == AnswersTook(limit_s=ledger.times(1).limit_s)
 
 
-def test_times_are_part_of_no_result(tmp_path: Path) -> None:
-    path = filled(tmp_path, small(tmp_path))
+def test_times_are_part_of_no_result(path: Path) -> None:
     with Ledger.open(path) as ledger:
         before = fingerprint_of(ledger), root_of(ledger)
     with closing(sqlite3.connect(path)) as connection, connection:
@@ -136,8 +150,7 @@ def test_times_are_part_of_no_result(tmp_path: Path) -> None:
         assert (ledger.times(0).answers, ledger.slow) == (0, [])
 
 
-def test_a_strangers_times_are_numbers(tmp_path: Path) -> None:
-    path = filled(tmp_path, small(tmp_path))
+def test_a_strangers_times_are_numbers(path: Path) -> None:
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute(
             "UPDATE answering SET slowest_s = 'long', limit_s = x'00', answers = 'many', slow = 3"
@@ -149,10 +162,10 @@ def test_a_strangers_times_are_numbers(tmp_path: Path) -> None:
 
 def test_merged_ledgers_have_all_times(tmp_path: Path) -> None:
     plan = small(tmp_path)
-    paths = []
+    paths, bench = [], EpisodeRunner(plan)
     for part in range(2):
         with ledger_in(tmp_path / str(part), plan) as ledger:
-            ledger.record(EpisodeRunner(plan).run(part, range(RUNS)))
+            ledger.record(bench.run(part, range(RUNS)))
             paths.append(ledger.path)
     merge(tmp_path / "whole.sqlite", paths)
     with Ledger.open(tmp_path / "whole.sqlite") as ledger:
@@ -195,17 +208,20 @@ def test_fuzz_says_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     small(tmp_path)
     (tmp_path / "space.yaml").write_text(TEXT)
     controller = f"{tmp_path / 'slow.py'}:Slow"
-    words = ["fuzz", str(tmp_path / "space.yaml"), "--controller", controller, "--budget", "4"]
+    words = ["fuzz", str(tmp_path / "space.yaml"), "--controller", controller, "--budget", "2"]
     result = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "found")])
-    said = f"on this machine {4 * TICKS} of {4 * TICKS} answers (100 %) took longer than the 8 ms"
+    said = f"on this machine {2 * TICKS} of {2 * TICKS} answers (100 %) took longer than the 8 ms"
     assert f"computing time: {said}" in result.output
     assert said in json.loads((tmp_path / "found" / "findings.json").read_text())["computing_time"]
     assert said in (tmp_path / "found" / "fuzz.html").read_text()
 
 
+@pytest.mark.usefixtures("asked_once")
 def test_pilot_and_rare_say_it(tmp_path: Path) -> None:
     plan = small(tmp_path)
-    result = CliRunner().invoke(app, ["campaign", "pilot", str(tmp_path / "plan.yaml"), "--runs", "1"])
+    result = CliRunner().invoke(
+        app, ["campaign", "pilot", str(tmp_path / "plan.yaml"), "--runs", "1", "--workers", "1"]
+    )
     said = f"on this machine {2 * TICKS} of {2 * TICKS} answers (100 %) took longer than the 8 ms"
     assert f"\ncomputing time: {said}" in result.output
     watch = AvoiderWatch()

@@ -80,7 +80,7 @@ def test_what_a_forger_makes_of_a_program_does_not_come_out_again(
                 ledger.connection.execute(statement)
         page = reported(plan, report)
         monkeypatch.setattr(verify_report, "render", lambda *_, page=page: page)
-        checks = list(verify(report, runs=10, execute_programs=True))
+        checks = list(verify(report, runs=3, execute_programs=True))
         found = [fault for check in checks for fault in check.faults]
         assert any(said in fault for fault in found) == (statement is not None), found
 

@@ -392,8 +392,8 @@ def test_a_file_of_a_report_that_is_damaged_is_told_in_order(report: Path, name:
     """Cut, flipped or filled with brackets, with a manifest that fits; all is seen that needs no run."""
     whole, before = (report / name).read_bytes(), read_evidence(report / "evidence.json")
     refused = 0
-    for k in range(4):
-        at = (2 * k + 1) * len(whole) // 8
+    for k in range(2):
+        at = (2 * k + 1) * len(whole) // 4
         flipped = whole[:at] + bytes([whole[at] ^ 1 << k]) + whole[at + 1 :]
         for data in (whole[:at], flipped, whole[:at] + b"[" * 50_000 + whole[at:]):
             (report / name).write_bytes(data)

@@ -379,7 +379,7 @@ def wait_for_episodes(ledger: Path, at_least: int) -> None:
 
 @pytest.fixture(scope="module")
 def undisturbed(folder: Path) -> str:
-    (folder / "long.yaml").write_text(PLAN.replace("runs: 30", "runs: 160").replace("runs: 20", "runs: 40"))
+    (folder / "long.yaml").write_text(PLAN.replace("runs: 30", "runs: 100").replace("runs: 20", "runs: 20"))
     path = folder / "undisturbed.sqlite"
     assert run(folder / "long.yaml", ledger=path, workers=2) == AS_EXPECTED
     with Ledger.open(path) as ledger:
@@ -399,7 +399,7 @@ def test_a_runner_that_is_killed_at_any_moment_loses_nothing_that_was_committed(
         with Ledger.open(path) as ledger:
             before, done = done, tally_of(ledger).done
         assert done > before
-        if done == 200:
+        if done == 120:
             break
     assert resume(path, workers=2) == AS_EXPECTED
     with Ledger.open(path) as ledger:

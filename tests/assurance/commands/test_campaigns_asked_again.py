@@ -15,7 +15,11 @@ from tests.admission.remembering import NO_FUNCTIONS
 from tests.assurance.campaign.plans import PLAN
 from tests.cli.test_asking_again import in_a_folder_with_files
 
-SMALL = PLAN.replace("runs: 30", "runs: 10").replace("runs: 20", "runs: 6")
+SMALL = (
+    PLAN.replace("runs: 30", "runs: 4")
+    .replace("runs: 20", "runs: 2")
+    .replace("    violated in at most: 50 %\n", "")  # which so few cannot show
+)
 REFUSAL = "episodes are not independent, no bound is stated"
 
 
@@ -36,11 +40,15 @@ def test_a_campaign_of_it_states_its_bounds_and_says_so(capsys: pytest.CaptureFi
         assert not ledger.dependent
 
 
-@pytest.mark.parametrize("name", NO_FUNCTIONS)
+@pytest.mark.parametrize(
+    "name",
+    # Those of which one more is noticed alike, each of them by ``run``: tests/cli/test_asking_again.py
+    [pytest.param(one, marks=[pytest.mark.long] * (one in ("Averages", "Clocked"))) for one in NO_FUNCTIONS],
+)
 def test_a_campaign_with_it_states_no_bound(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     Path("plan.yaml").write_text(SMALL.replace("opposite pose", f"mine.py:{name}"))
     file = Path("ledger.sqlite")
-    assert run_campaign(Path("plan.yaml"), ledger=file, workers=2) == DIFFERS
+    assert run_campaign(Path("plan.yaml"), ledger=file, workers=1) == DIFFERS
     assert status(file) == AS_EXPECTED
     shown = capsys.readouterr().out
     assert REFUSAL in shown
@@ -54,7 +62,7 @@ def test_a_campaign_with_it_states_no_bound(name: str, capsys: pytest.CaptureFix
 
 def test_a_campaign_with_a_function_says_how_often_it_was_asked(capsys: pytest.CaptureFixture[str]) -> None:
     Path("plan.yaml").write_text(SMALL.replace("opposite pose", "mine.py:Pure"))
-    assert run_campaign(Path("plan.yaml"), ledger=Path("ledger.sqlite"), workers=2) == AS_EXPECTED
+    assert run_campaign(Path("plan.yaml"), ledger=Path("ledger.sqlite"), workers=1) == AS_EXPECTED
     shown = capsys.readouterr().out
     assert "hold together" in shown
     assert "of a second avoider in a process of its own" in shown

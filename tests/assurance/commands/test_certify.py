@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 
 import jsonschema
 import pytest
+from once import replayed_once  # noqa: F401
 from typer.testing import CliRunner
 
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED
@@ -39,7 +40,7 @@ SEARCHING = PLAN + "search:\n  runs: 20\n"
 
 
 @pytest.fixture(scope="module", autouse=True)
-def no_causes() -> Iterator[None]:
+def no_causes(replayed_once: None) -> Iterator[None]:  # noqa: F811
     """The causes of violations take longer than all else: ``test_gathered.py`` and ``test_verify.py``."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(whose_fault, "attribute", lambda *_: ())
@@ -63,6 +64,7 @@ def report(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A copy to be touched; its page is what was written, without the seconds that drawing it again takes."""
     page = (made / "evidence.html").read_text()
     monkeypatch.setattr(verify_report, "render", lambda *_: page)
+    monkeypatch.setattr(folder_module, "drawn", lambda evidence, _: (page, evidence))
     return Path(shutil.copytree(made, tmp_path / "report"))
 
 
@@ -118,7 +120,11 @@ def test_kinds_of_violation_whose_traces_are_not_kept_are_counted(report: Path) 
         assert f"{len(kinds)} kinds of violation have no kept trace" in found.text
 
 
-def test_the_same_command_again_makes_nothing_anew(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_same_command_again_makes_nothing_anew(
+    made: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = (made / "evidence.html").read_text()
+    monkeypatch.setattr(folder_module, "drawn", lambda evidence, _: (page, evidence))
     before = read_evidence(made / "evidence.json")
     ledger = (made / "ledger.sqlite").read_bytes()
     assert certify(made.parent / "plan.yaml", out=made, workers=1) == DIFFERS
@@ -298,7 +304,8 @@ def test_a_changed_space_is_named(report: Path, made: Path, capsys: pytest.Captu
 def test_an_interrupted_certification_says_what_is_missing_and_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    plan_in(tmp_path, PLAN)
+    monkeypatch.setattr(folder_module, "drawn", lambda evidence, _: ("the page", evidence))
+    plan_in(tmp_path, PLAN.replace("runs: 30", "runs: 12").replace("runs: 20", "runs: 12"))
     real = certify_module.run_missing
 
     def stopping(*arguments: object, **options: object) -> bool:

@@ -103,7 +103,7 @@ def test_what_is_never_found_is_not_said_to_be_impossible(margins: Callable[[Flo
     assert found.high == pytest.approx(1.0 - 0.025 ** (1 / found.plain_draws))
 
 
-@pytest.mark.parametrize("share", [2e-4, 1e-3])
+@pytest.mark.parametrize("share", [2e-4, pytest.param(1e-3, marks=pytest.mark.long)])
 def test_a_region_aside_of_the_way_does_not_make_the_upper_end_wrong(share: float) -> None:
     """Margins lead to a tail of 1e-5, and few replications meet the needle."""
 

@@ -31,7 +31,7 @@ def test_all_chances_together_are_what_the_confidence_leaves() -> None:
 
 @pytest.mark.parametrize("shifts", EVERY, ids=lambda one: one.name)
 def test_in_whole_shifts_the_bound_an_hour_is_above_the_truth_as_often_as_it_says(shifts: Shifts) -> None:
-    assert shifts.coverage(ours, 200, seed=1) >= CONFIDENCE
+    assert shifts.coverage(ours, 100, seed=1) >= CONFIDENCE
 
 
 @pytest.mark.long
@@ -42,7 +42,7 @@ def test_in_a_thousand_simulations_too(shifts: Shifts) -> None:
 
 @pytest.mark.parametrize("wrong", [point_by_point, rate_as_counted])
 def test_a_formula_that_forgets_an_uncertainty_fails_the_same_check(wrong: Formula) -> None:
-    assert FEW.coverage(wrong, 200, seed=1) < CONFIDENCE
+    assert FEW.coverage(wrong, 100, seed=1) < CONFIDENCE
 
 
 def test_the_truth_is_what_simulated_shifts_meet() -> None:

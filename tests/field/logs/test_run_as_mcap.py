@@ -32,13 +32,13 @@ from safety_harness.trace.trace import Trace
 
 ROOT = Path(__file__).parents[3]
 SHIPPED = {one.name: one for one in read_all_scenarios(ROOT / "scenarios")}
+FAST_S = 2.5
 # Until their hands have come near and their verdicts are there; in whole they come back at night.
 QUICK_S = {
-    "fast-reach": 4.0,
+    "fast-reach": FAST_S,
     "recorded-handover-two-hands": 4.0,
     "robot-panda": 2.5,
     "overhead-camera": 4.3,
-    "box-beside-the-way": 2.5,
 }
 KINEMATIC = world_named("kinematic", "--world")
 SPEEDS = (Unit.SPEED, Unit.ANGULAR_SPEED)
@@ -57,7 +57,7 @@ def exported(trace: Trace, folder: Path) -> Path:
 @pytest.fixture(scope="module")
 def fast(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of the files of ``fast-reach``, which most tests here look at."""
-    return exported(trace_of("fast-reach", 4.0), tmp_path_factory.mktemp("fast")).parent
+    return exported(trace_of("fast-reach", FAST_S), tmp_path_factory.mktemp("fast")).parent
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +110,7 @@ def test_every_shipped_run_comes_back_without_a_contradiction(name: str, tmp_pat
 
 
 def test_the_log_has_the_joints_and_hands_of_the_run(fast_back: Trace) -> None:
-    trace, back = trace_of("fast-reach", 4.0), fast_back
+    trace, back = trace_of("fast-reach", FAST_S), fast_back
     for name in ("joint_position_rad", "hand_position_in_base_m", "elbow_position_in_base_m"):
         assert np.allclose(back.ticks[name][:, :1], trace.ticks[name][:, :1], rtol=0.0, atol=2e-6), name
     assert np.array_equal(back.ticks["mode"], trace.ticks["mode"])
@@ -120,7 +120,7 @@ def test_the_log_has_the_joints_and_hands_of_the_run(fast_back: Trace) -> None:
 
 def test_a_violation_is_certain_in_the_log_too(fast_back: Trace) -> None:
     """The run is 126.5 mm inside the limit, and its hand moves 0.5 ms x 2 m/s at most between two samples."""
-    trace = trace_of("fast-reach", 4.0)
+    trace = trace_of("fast-reach", FAST_S)
     run, log = judge(trace)[0], judge(fast_back)[0]
     assert log.verdict is Verdict.VIOLATED
     assert run.margin is not None
@@ -129,7 +129,7 @@ def test_a_violation_is_certain_in_the_log_too(fast_back: Trace) -> None:
 
 
 def test_margins_have_their_limits_and_decisions_are_events(fast: Path) -> None:
-    trace = trace_of("fast-reach", 4.0)
+    trace = trace_of("fast-reach", FAST_S)
     rows = contents(fast, "/claim_1")
     nearest_m = true_motion(trace).nearest_m
     assert [at for at, _ in rows] == [10**9 + round(t * 1e9) for t in trace.time_s]
@@ -145,7 +145,7 @@ def test_margins_have_their_limits_and_decisions_are_events(fast: Path) -> None:
 
 
 def test_the_drawn_arm_and_hands_are_where_they_were(fast: Path) -> None:
-    trace = trace_of("fast-reach", 4.0)
+    trace = trace_of("fast-reach", FAST_S)
     _, tf = contents(fast, "/tf")[-1]
     (tcp,) = [one for one in tf.transforms if one.child_frame_id == "tcp"]
     at, turn = tcp.transform.translation, tcp.transform.rotation
@@ -212,7 +212,7 @@ def test_a_log_and_a_foreign_description_are_refused(fast: Path, fast_back: Trac
     with pytest.raises(TraceError, match="simulated run"):
         write_mcap(fast_back, judge(fast_back), fast / "again.mcap")
     with pytest.raises(OutputError, match="one that an export wrote"):
-        write_mcap(trace_of("fast-reach", 4.0), (), fast / "other.mcap")
+        write_mcap(trace_of("fast-reach", FAST_S), (), fast / "other.mcap")
     assert not (fast / "other.mcap").exists()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,11 +16,12 @@ from safety_harness.cell.avoidance.onnx_names import HAND
 from tests.whole.hostile.formats import FORMATS, Format, onnx_bytes, onnx_read
 
 quick = hypothesis_settings(
-    max_examples=30,
+    max_examples=10,
     deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
 )
+thorough = hypothesis_settings(quick, max_examples=100)
 each = pytest.mark.parametrize("kind", FORMATS, ids=lambda kind: kind.name)
 hashed = pytest.mark.parametrize("kind", [kind for kind in FORMATS if kind.hashed], ids=lambda k: k.name)
 
@@ -65,14 +67,27 @@ def test_a_file_that_ends_early_is_refused_or_complete(kind: Format, tmp_path: P
         assert None not in errors
 
 
+def flipped(kind: Format, choose: st.DataObject) -> bytes:
+    data = bytearray(kind.whole())
+    at = choose.draw(st.integers(0, 8 * len(data) - 1))
+    data[at // 8] ^= 1 << at % 8
+    return bytes(data)
+
+
 @each
 @quick
 @given(choose=st.data())
 def test_a_flipped_bit_is_refused_or_harmless(kind: Format, tmp_path: Path, choose: st.DataObject) -> None:
-    data = bytearray(kind.whole())
-    at = choose.draw(st.integers(0, 8 * len(data) - 1))
-    data[at // 8] ^= 1 << at % 8
-    outcome(kind, tmp_path, bytes(data))
+    outcome(kind, tmp_path, flipped(kind, choose))
+
+
+def with_other_parts(kind: Format, choose: st.DataObject) -> bytes:
+    data = kind.whole()
+    for _ in range(choose.draw(st.integers(1, 3))):
+        begin, end = sorted(choose.draw(st.tuples(*[st.integers(0, len(data))] * 2)))
+        new = choose.draw(st.binary(max_size=20) | st.sampled_from([b"", data[begin:end] * 2, b"\0" * 1_000]))
+        data = data[:begin] + new + data[end:]
+    return data
 
 
 @each
@@ -81,12 +96,18 @@ def test_a_flipped_bit_is_refused_or_harmless(kind: Format, tmp_path: Path, choo
 def test_parts_that_are_missing_doubled_or_foreign_are_refused_or_harmless(
     kind: Format, tmp_path: Path, choose: st.DataObject
 ) -> None:
-    data = kind.whole()
-    for _ in range(choose.draw(st.integers(1, 3))):
-        begin, end = sorted(choose.draw(st.tuples(*[st.integers(0, len(data))] * 2)))
-        new = choose.draw(st.binary(max_size=20) | st.sampled_from([b"", data[begin:end] * 2, b"\0" * 1_000]))
-        data = data[:begin] + new + data[end:]
-    outcome(kind, tmp_path, data)
+    outcome(kind, tmp_path, with_other_parts(kind, choose))
+
+
+@pytest.mark.long
+@each
+@pytest.mark.parametrize("damaged", [flipped, with_other_parts])
+@thorough
+@given(choose=st.data())
+def test_a_hundred_flips_and_other_parts_are_refused_or_harmless(
+    kind: Format, damaged: Callable[[Format, st.DataObject], bytes], tmp_path: Path, choose: st.DataObject
+) -> None:
+    outcome(kind, tmp_path, damaged(kind, choose))
 
 
 def test_a_name_in_an_onnx_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
@@ -175,13 +196,17 @@ NO_NUMBERS = [b"NaN", b"-Infinity", b"1e999", b"1" + b"0" * 400]
 JSON = [kind for kind in FORMATS if kind.file.endswith(".json")]
 
 
-@pytest.mark.parametrize("value", [*NO_NUMBERS, b"-1", b"null", b"true", b'"x"', b"[]", b"{}"], ids=ascii)
+OTHERS = [*NO_NUMBERS, b"-1", b"null", b"true", b'"x"', b"[]", b"{}"]
+
+
+@pytest.mark.parametrize("value", OTHERS, ids=ascii)
 @pytest.mark.parametrize("kind", JSON, ids=lambda kind: kind.name)
 def test_values_of_another_kind_are_refused_or_harmless(kind: Format, value: bytes, tmp_path: Path) -> None:
     data = kind.whole()
     values = list(re.finditer(rb'(?<=[:\[,] )(-?[0-9][-+.0-9e]*|true|false|null|"[^"]*")(?=[,\n}\]])', data))
     assert values
-    for found in values[:: max(1, len(values) // 60)]:
+    every = max(1, len(values) // 20)
+    for found in values[OTHERS.index(value) % every :: every]:  # each value at places of its own
         refusal = outcome(kind, tmp_path, data[: found.start()] + value + data[found.end() :])
         if kind.name == "evidence" and value in NO_NUMBERS[:3] and found[1][:1].isdigit():
             assert refusal is not None
