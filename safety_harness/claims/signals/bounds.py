@@ -46,11 +46,15 @@ def or_next(value: Any) -> Any:
 
 
 @jitable
+def speed_cell(first: Any, second: Any, mean: Any) -> tuple[Any, Any]:
+    """Return bounds of a joint's speed between two ticks, by both ticks' speeds and the mean in between."""
+    return np.minimum(np.minimum(first, second), mean), np.maximum(np.maximum(first, second), mean)
+
+
 def speed_cells(at_ticks: Any, mean: Any) -> tuple[Any, Any, Any, Any]:
     """Return the fastest joint's speed (n,) at the ticks, its bounds to the next tick, and its mean (n-1,).
 
-    Between two ticks, a joint's speed lies between the least and the largest of both ticks' speeds and the
-    mean. ``at_ticks`` is (n, joints), and ``mean`` is (n-1, joints).
+    ``at_ticks`` is (n, joints), and ``mean`` is (n-1, joints).
     """
 
     def largest(each: Any) -> Any:
@@ -60,8 +64,7 @@ def speed_cells(at_ticks: Any, mean: Any) -> tuple[Any, Any, Any, Any]:
         return most
 
     low, high = at_ticks.copy(), at_ticks.copy()
-    low[:-1] = np.minimum(np.minimum(at_ticks[:-1], at_ticks[1:]), mean)
-    high[:-1] = np.maximum(np.maximum(at_ticks[:-1], at_ticks[1:]), mean)
+    low[:-1], high[:-1] = speed_cell(at_ticks[:-1], at_ticks[1:], mean)
     return largest(at_ticks), largest(low), largest(high), largest(mean)
 
 

@@ -36,7 +36,7 @@ from safety_harness.claims.signals.bounds import (
     or_next,
     place_between,
     speed_between,
-    speed_cells,
+    speed_cell,
     velocity_off,
 )
 from safety_harness.claims.signals.hand_distance import POINT, between_ticks, distance_m
@@ -274,11 +274,26 @@ def _put_speed(
     The speeds are ``at_ticks`` (m, joints) at the ticks, and on average ``mean`` (m - 1, joints) in between.
     ``speed_error`` (m,) is the error of a speed, and ``place`` (m,) that of a position.
     """
-    value, low, high, means = speed_cells(at_ticks, mean)
-    mean_error = speed_between(or_next(speed_error), or_next(place), period_s)
+    count = at_ticks.shape[0]
+    value, low, high, mean_error = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    for k in range(count):  # as ``speed_cells`` does for whole arrays
+        value[k], low[k], high[k], means, later = -np.inf, -np.inf, -np.inf, -np.inf, min(k + 1, count - 1)
+        for joint in range(at_ticks.shape[1]):
+            now = at_ticks[k, joint]
+            least, most = now, now
+            if later > k:
+                least, most = speed_cell(now, at_ticks[later, joint], mean[k, joint])
+                means = np.maximum(means, mean[k, joint])
+            value[k], low[k], high[k] = (
+                np.maximum(value[k], now),
+                np.maximum(low[k], least),
+                np.maximum(high[k], most),
+            )
+        errors = np.maximum(speed_error[k], speed_error[later]), np.maximum(place[k], place[later])
+        mean_error[k] = speed_between(errors[0], errors[1], period_s)
+        at_tick = value[k] - MOVES > speed_between(speed_error[k], place[k], period_s)
+        known[k, EXERCISED] = at_tick or means - MOVES > mean_error[k]
     _put(known, value, speed_error, low, high, mean_error, mean_error)
-    known[:, EXERCISED] = value - MOVES > speed_between(speed_error, place, period_s)
-    known[:-1, EXERCISED] = np.maximum(known[:-1, EXERCISED], means - MOVES > mean_error[:-1])
 
 
 @compiled
