@@ -25,6 +25,7 @@ from math import pi, radians
 from typing import Any, TypeVar
 
 Vector3 = tuple[float, float, float]
+HAND_SLOTS = (2, 4, 8)  # the possible numbers of hands that the records of a run have room for
 _TURN_RAD = 2.0 * pi
 T = TypeVar("T")
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.base.exceptions import InadmissibleError, Place, ScenarioError, no_truth_value
-from safety_harness.base.settings import DEFAULTS, Settings, Vector3
+from safety_harness.base.settings import DEFAULTS, HAND_SLOTS, Settings, Vector3
 from safety_harness.scenario.codec import (
     POINT,
     ROTATION,
@@ -40,7 +40,6 @@ from safety_harness.scenario.robots import DIGEST, AnyRobot, OwnRobot, Robot
 from safety_harness.scenario.shield import Shield
 from safety_harness.scenario.units import ACCELERATION, NUMBER, SPEED, TIME
 
-HAND_SLOTS = (2, 4, 8)  # the possible numbers of hands that the records of a run have room for
 MAX_HANDS = HAND_SLOTS[-1]
 LARGEST_SEED = 2**63 - 1
 FEWEST_JOINTS, MOST_JOINTS = 3, 8

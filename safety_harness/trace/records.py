@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.scenario.model import HAND_SLOTS
+from safety_harness.base.settings import HAND_SLOTS
 
 JOINTS = 6  # of the shipped arms
 TRACKS_PER_HAND = 2  # and boxes in a frame, which also hold false hands and hands that left

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.base.seeds import Branch, seed
-from safety_harness.base.settings import Settings
+from safety_harness.base.settings import HAND_SLOTS, Settings
 from safety_harness.cell.avoidance.asking import Answer, late_fault
 from safety_harness.cell.avoidance.avoider import Avoider, shown_to
 from safety_harness.cell.avoidance.gate import Gate, GateDecision, Query, answer_to
@@ -45,7 +45,6 @@ from safety_harness.cell.perception.tracking import no_tracks
 from safety_harness.cell.robot.description import ArmModel
 from safety_harness.cell.servoing.control import DesiredView
 from safety_harness.scenario.fault_table import fault_table
-from safety_harness.scenario.model import HAND_SLOTS
 from safety_harness.seams.contract import Seen
 from safety_harness.trace.records import FAULT_CHARACTERS, DecisionOutcome, as_compiled, decision_dtype
 

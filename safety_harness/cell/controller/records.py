@@ -13,12 +13,11 @@ from typing import Any, NewType
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.base.settings import HandSensorKind, ObjectKind, Settings
+from safety_harness.base.settings import HAND_SLOTS, HandSensorKind, ObjectKind, Settings
 from safety_harness.cell.perception.camera import transform_camera_to_tcp
 from safety_harness.cell.perception.moments import MOMENT_COUNT
 from safety_harness.cell.robot.description import ArmModel, chain_of
 from safety_harness.cell.servoing.control import DesiredView, choice_code
-from safety_harness.scenario.model import HAND_SLOTS
 from safety_harness.trace.records import JOINTS, TRACKS_PER_HAND
 
 

@@ -28,7 +28,7 @@ from safety_harness.base.compiled import inlined, njit_no_nrt
 from safety_harness.base.geometry.arrays import Array3, ArrayN, ArrayNx3
 from safety_harness.base.geometry.linear import copy_vector
 from safety_harness.base.geometry.segments import point_segment_distance
-from safety_harness.base.settings import Settings
+from safety_harness.base.settings import HAND_SLOTS, Settings
 from safety_harness.cell.controller.records import (
     CommandRecords,
     ObservationRecords,
@@ -43,7 +43,6 @@ from safety_harness.cell.robot.description import ArmModel
 from safety_harness.cell.robot.distance import CAPSULE, CapsuleRecords, chain_lengths, place_capsules
 from safety_harness.cell.robot.drive import delay_ticks
 from safety_harness.cell.robot.kinematics import link_twists, point_velocity
-from safety_harness.scenario.model import HAND_SLOTS
 from safety_harness.scenario.shield import Shield
 from safety_harness.trace.records import JOINTS, TRACKS_PER_HAND, Limit, intervention_dtype
 

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.base.compiled import compiled, njit_no_nrt
+from safety_harness.base.settings import HAND_SLOTS
 from safety_harness.cell.perception.hand_boxes import place_of_pixel
 from safety_harness.cell.perception.hand_filter import FEW_BOXES, TRACK, initialise, predict, update, wait
-from safety_harness.scenario.model import HAND_SLOTS
 from safety_harness.trace.records import TRACKS_PER_HAND
 
 MOST_TRIED = 625  # pairings: (4 + 1)^4 of four boxes with four tracks

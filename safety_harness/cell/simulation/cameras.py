@@ -13,11 +13,10 @@ from safety_harness.base.exceptions import SettingsError
 from safety_harness.base.geometry.arrays import Array4x4
 from safety_harness.base.normals import standard_normal
 from safety_harness.base.seeds import Branch, generator
-from safety_harness.base.settings import HandSensorKind, ImageSource, Object, ObjectKind, Settings
+from safety_harness.base.settings import HAND_SLOTS, HandSensorKind, ImageSource, Object, ObjectKind, Settings
 from safety_harness.cell.perception.camera import transform_camera_to_tcp
 from safety_harness.cell.perception.hand_boxes import sensor_principal_point_px
 from safety_harness.cell.perception.moments import MOMENT_COUNT
-from safety_harness.scenario.model import HAND_SLOTS
 from safety_harness.trace.records import TRACKS_PER_HAND
 
 RING = 64  # taken but undelivered frames at a time

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from safety_harness import Move, Stop
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.trial import run_kinematic
-from safety_harness.base.settings import DEFAULTS
+from safety_harness.base.settings import DEFAULTS, HAND_SLOTS
 from safety_harness.cell.controller.records import (
     CommandRecords,
     ObservationRecords,
@@ -43,7 +43,7 @@ from safety_harness.claims.properties.shield_theorem import (
 from safety_harness.claims.properties.touching import NO_MOVING_PART_TOUCHES, theorem_bits
 from safety_harness.claims.signals.true_motion import refuse_contradictions
 from safety_harness.report.shielding import shield_data, shield_lines, slowings
-from safety_harness.scenario.model import HAND_SLOTS, Verdict
+from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.robots import Robot
 from safety_harness.scenario.shield import Shield

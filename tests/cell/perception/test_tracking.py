@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from safety_harness.base.settings import DEFAULTS
+from safety_harness.base.settings import DEFAULTS, HAND_SLOTS
 from safety_harness.cell.perception.hand_boxes import position_from_box, sphere_box
 from safety_harness.cell.perception.hand_filter import filter_parameters
 from safety_harness.cell.perception.tracking import (
@@ -15,7 +15,6 @@ from safety_harness.cell.perception.tracking import (
     no_tracks,
     predict_positions,
 )
-from safety_harness.scenario.model import HAND_SLOTS
 from safety_harness.trace.records import TRACKS_PER_HAND
 
 PARAMETERS = filter_parameters(DEFAULTS.hand_filter, DEFAULTS.hand_sensor)

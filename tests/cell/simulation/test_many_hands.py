@@ -11,11 +11,11 @@ from examples import hand, scenario
 
 from safety_harness import admit, judge, run_trial
 from safety_harness.base.exceptions import ScenarioError
-from safety_harness.base.settings import DEFAULTS, HandSensorKind
+from safety_harness.base.settings import DEFAULTS, HAND_SLOTS, HandSensorKind
 from safety_harness.cell.simulation.simulate import Episode, simulate_many
 from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry
 from safety_harness.claims.properties.base import Evaluation
-from safety_harness.scenario.model import HAND_SLOTS, MAX_HANDS, Claim, MovingHand, Scenario, Verdict
+from safety_harness.scenario.model import MAX_HANDS, Claim, MovingHand, Scenario, Verdict
 from safety_harness.scenario.moves import MoveTo, ReachForTcp, Wait, Withdraw
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.write import write_scenario
