@@ -17,23 +17,19 @@ from safety_harness.scenario.model import Verdict
 from safety_harness.trace.known import Source
 from safety_harness.trace.store import load_trace, save_trace
 
-
-@pytest.fixture(scope="module", params=[60, pytest.param(400, marks=pytest.mark.long)])
-def logs(request: pytest.FixtureRequest) -> int:
-    """How many."""
-    return int(request.param)
+LOGS = 200
 
 
 @pytest.fixture(scope="module")
-def judged(logs: int, tmp_path_factory: pytest.TempPathFactory) -> list[Judged]:
+def judged(tmp_path_factory: pytest.TempPathFactory) -> list[Judged]:
     folder = tmp_path_factory.mktemp("logs")
-    return [one for seed in range(logs) for one in judged_logs(seed, folder)]
+    return [one for seed in range(LOGS) for one in judged_logs(seed, folder)]
 
 
-def test_no_verdict_is_false(judged: list[Judged], logs: int) -> None:
+def test_no_verdict_is_false(judged: list[Judged]) -> None:
     assert [one for one in judged if one.false] == []
     verdicts = Counter(one.found.verdict for one in judged)
-    assert min(verdicts[Verdict.HOLDS], verdicts[Verdict.VIOLATED]) > logs // 4  # both are given
+    assert min(verdicts[Verdict.HOLDS], verdicts[Verdict.VIOLATED]) > LOGS // 4  # both are given
 
 
 def test_a_margin_that_is_certain_is_no_better_than_the_true_one(judged: list[Judged]) -> None:
@@ -45,11 +41,9 @@ def test_a_margin_that_is_certain_is_no_better_than_the_true_one(judged: list[Ju
     assert all(one.found.margin <= one.true_m for one in holds)
 
 
-def test_nine_in_ten_are_decided_whose_margin_is_twice_the_uncertainty(
-    judged: list[Judged], logs: int
-) -> None:
+def test_nine_in_ten_are_decided_whose_margin_is_twice_the_uncertainty(judged: list[Judged]) -> None:
     clear = [one for one in judged if one.clear]
-    assert len(clear) > logs // 4
+    assert len(clear) > LOGS // 4
     assert sum(one.decided for one in clear) >= 0.9 * len(clear)
 
 
