@@ -115,7 +115,7 @@ def outcome(admitter: Admitter, one: Scenario) -> object:
 _ALONE: dict[Varied, object] = {}
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     st.lists(
         st.tuples(

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from examples import VISIT, scenario
 
@@ -43,6 +43,28 @@ def runs(avoider: str, admitter: Admitter, seeds: Sequence[int] = range(4)) -> l
     return list(run_many(admitter.admit(one) for one in drawn))
 
 
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file that no test changes, and whose process runs go on to share."""
+    kept = tmp_path_factory.mktemp("kept") / "mine.py"
+    kept.write_text(TEXT)
+    return kept
+
+
+@pytest.fixture(scope="module")
+def admitter() -> Admitter:
+    return Admitter()
+
+
+@pytest.fixture(scope="module")
+def of_pure(kept: Path, admitter: Admitter) -> list[Trace]:
+    return runs(f"{kept}:Pure", admitter)
+
+
+def with_avoider(traces: Sequence[Trace], avoider: str) -> list[Trace]:
+    return [replace(one, scenario=replace(one.scenario, avoider=avoider)) for one in traces]
+
+
 def asked_again(traces: Sequence[Trace]) -> RepeatabilityResult:
     sampler = Repeatability()
     for trace in traces:
@@ -51,8 +73,10 @@ def asked_again(traces: Sequence[Trace]) -> RepeatabilityResult:
 
 
 @pytest.mark.parametrize("name", NO_FUNCTIONS)
-def test_an_avoider_that_is_no_function_of_its_question_is_noticed(name: str, file: Path) -> None:
-    found = asked_again(runs(f"{file}:{name}", Admitter()))
+def test_an_avoider_that_is_no_function_of_its_question_is_noticed(
+    name: str, kept: Path, admitter: Admitter
+) -> None:
+    found = asked_again(runs(f"{kept}:{name}", admitter))
     assert found.apart
     assert found.differing > 0
     assert "asked again" in found.remembers
@@ -61,10 +85,10 @@ def test_an_avoider_that_is_no_function_of_its_question_is_noticed(name: str, fi
     assert heeds == (name == "Batched")
 
 
-def test_one_that_answers_a_batch_otherwise_is_noticed_though_it_was_asked_alone(file: Path) -> None:
-    traces = runs(f"{file}:Pure", Admitter(), seeds=[1])
-    batched = [replace(one, scenario=replace(one.scenario, avoider=f"{file}:Batched")) for one in traces]
-    found = asked_again(batched)
+def test_one_that_answers_a_batch_otherwise_is_noticed_though_it_was_asked_alone(
+    of_pure: list[Trace], file: Path
+) -> None:
+    found = asked_again(with_avoider(of_pure[1:2], f"{file}:Batched"))
     assert found.asked == found.questions
     assert "asked again in one call with others it answered" in found.line
 
@@ -73,8 +97,12 @@ def test_one_that_answers_a_batch_otherwise_is_noticed_though_it_was_asked_alone
     ("body", "told"),
     [
         ("raise ValueError", "alone and in another order: the same"),
-        ("return []", "alone and in another order: the same"),
-        ("return np.full((len(seeds), 3), np.nan), None", "alone and in another order: the same"),
+        pytest.param("return []", "alone and in another order: the same", marks=pytest.mark.long),
+        pytest.param(
+            "return np.full((len(seeds), 3), np.nan), None",
+            "alone and in another order: the same",
+            marks=pytest.mark.long,
+        ),
         (
             "return np.array(tcps) + [0.0, 0.0, 0.1], np.zeros((len(seeds), 3))",
             "order and together: the same",
@@ -91,18 +119,20 @@ def test_together_is_said_only_of_one_that_answers_together(body: str, told: str
     assert told in asked_again(runs(f"{file}:Many", Admitter())).line
 
 
-def test_rounding_is_told_and_is_no_problem_and_a_spread_is_no_rounding(file: Path) -> None:
-    found = asked_again(runs(f"{file}:Rounds", Admitter()))
+def test_rounding_is_told_and_is_no_problem_and_a_spread_is_no_rounding(
+    kept: Path, admitter: Admitter
+) -> None:
+    found = asked_again(runs(f"{kept}:Rounds", admitter))
     assert (found.differing, found.remembers, found.problem) == (0, "", "")
     assert re.search(r"rounds otherwise .*, \d of \d answers: .*1\.73e-10 mm elsewhere", found.line)
-    doubts = asked_again(runs(f"{file}:Doubts", Admitter()))
+    doubts = asked_again(runs(f"{kept}:Doubts", admitter))
     assert doubts.differing > 0
     assert doubts.problem == doubts.words != ""
     assert "its spread was 10 mm otherwise" in doubts.line
 
 
-def test_one_that_is_a_function_of_its_question_is_not(file: Path) -> None:
-    found = asked_again(runs(f"{file}:Pure", Admitter()))
+def test_one_that_is_a_function_of_its_question_is_not(of_pure: list[Trace]) -> None:
+    found = asked_again(of_pure)
     assert (found.differing, found.words) == (0, "")
     assert found.asked == found.questions >= 4
     assert "of a second avoider in a process of its own" in found.line
@@ -110,8 +140,8 @@ def test_one_that_is_a_function_of_its_question_is_not(file: Path) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_none_of_ours_is_noticed(name: str) -> None:
-    found = asked_again(runs(name, Admitter()))
+def test_none_of_ours_is_noticed(name: str, admitter: Admitter) -> None:
+    found = asked_again(runs(name, admitter))
     assert (found.differing, found.words, found.apart) == (0, "", False)
     assert found.asked == found.questions >= 4
 
@@ -130,9 +160,9 @@ def test_asking_again_leaves_the_first_avoider_and_its_runs_alone(file: Path) ->
 
 
 def test_what_is_asked_again_does_not_hang_on_the_order_in_which_runs_end(
-    file: Path, monkeypatch: pytest.MonkeyPatch
+    kept: Path, admitter: Admitter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    traces = runs(f"{file}:Counts", Admitter())
+    traces = runs(f"{kept}:Counts", admitter)
     monkeypatch.setattr(repeatability, "MOST", 3)
     first, second = asked_again(traces), asked_again(traces[::-1])
     assert first.asked == second.asked == 3
@@ -141,8 +171,8 @@ def test_what_is_asked_again_does_not_hang_on_the_order_in_which_runs_end(
 
 def test_a_wall_clock_budget_decides_how_many_are_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     traces = runs("opposite pose", Admitter(), seeds=range(12))
-    now = iter(np.arange(0.0, 1e9, 10.0))
-    monkeypatch.setattr(time, "monotonic", lambda: float(next(now)))
+    now = itertools.count(0.0, 10.0)
+    monkeypatch.setattr(time, "monotonic", lambda: next(now))
     found = asked_again(traces)  # every look at the clock costs ten seconds, and 2 % of ten is less
     assert found.asked == LEAST < found.questions
 
@@ -162,16 +192,18 @@ def test_answers_that_did_not_count_or_were_spoilt_are_not_asked_again() -> None
         assert not asked_again([trace]).words, faults
 
 
-def test_a_file_that_has_changed_meanwhile_is_not_blamed_for_a_memory(file: Path) -> None:
-    traces = runs(f"{file}:Pure", Admitter())
+def test_a_file_that_has_changed_meanwhile_is_not_blamed_for_a_memory(
+    of_pure: list[Trace], file: Path
+) -> None:
+    traces = with_avoider(of_pure, f"{file}:Pure")
     file.write_text(TEXT.replace("0.07", "0.08"))
     found = asked_again(traces)
     assert (found.asked, found.differing) == (0, 0)
     assert "has changed since" in found.line
 
 
-def test_one_that_cannot_be_made_again_is_told(file: Path) -> None:
-    traces = runs(f"{file}:Pure", Admitter())
+def test_one_that_cannot_be_made_again_is_told(of_pure: list[Trace], file: Path) -> None:
+    traces = with_avoider(of_pure, f"{file}:Pure")
     file.unlink()
     found = asked_again(traces)
     assert not found.remembers

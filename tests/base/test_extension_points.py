@@ -252,9 +252,9 @@ def test_a_key_that_no_package_reads_is_refused(toy: Path, loaded: Forking, text
     assert message in " ".join(done.stderr.split())
 
 
-def test_a_key_of_a_package_that_is_not_installed_is_refused(tmp_path: Path) -> None:
+def test_a_key_of_a_package_that_is_not_installed_is_refused(tmp_path: Path, without_wings: Forking) -> None:
     (tmp_path / "keyed.yaml").write_text(KEYED)
-    done = called(tmp_path, "validate", "keyed.yaml")
+    done = without_wings.called("validate", "keyed.yaml", folder=tmp_path)
     assert done.returncode == 2
     assert "extensions.toy" in done.stderr
     assert "a key that an installed package adds: there is none" in done.stderr

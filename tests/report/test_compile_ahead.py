@@ -43,19 +43,27 @@ def test_the_brief_run_calls_what_takes_a_first_run_longest() -> None:
     assert called >= longest | {"_straight_reach", "_first_wrong", "_follow", "_closest_in_trace"}
 
 
-def test_what_a_run_needs_is_known_before_it_is_compiled(
+def test_what_a_run_needs_is_known_before_it_is_compiled_and_it_ends_with_the_process_that_started_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with monkeypatch.context() as patch:
-        patch.setenv("SAFETY_HARNESS_CACHE", str(tmp_path))
-        second = SecondProcess(_checked=True, _process=compile_ahead._start())
+    loaded = subprocess.run([sys.executable, "-c", LOADED], capture_output=True, text=True, check=True).stdout
+    monkeypatch.setenv("SAFETY_HARNESS_CACHE", str(tmp_path))
+    process = compile_ahead._start()
+    assert process is not None
+    assert process.stdin is not None
+    second = SecondProcess(_checked=True, _process=process)
     while (part := second.finished_part()) is None:
         time.sleep(0.1)
-    assert second._process is not None
-    compile_ahead._end(second._process)  # it would compile for minutes beside other tests
     assert part[0] < part[1]
-    loaded = subprocess.run([sys.executable, "-c", LOADED], capture_output=True, text=True, check=True).stdout
     assert set(loaded.split()) <= {file.name for file in second._needed or []}
+    while process.poll() is None and not any(tmp_path.rglob("*.nbc")):
+        time.sleep(0.1)
+    assert process.poll() is None
+    other = compile_ahead._start()
+    assert other is not None
+    assert other.wait(60.0) == 0  # one is enough
+    process.stdin.close()  # as when the first process is killed
+    assert process.wait(60.0) == 0
 
 
 def test_a_second_process_that_ends_early_leaves_the_part_unknown() -> None:
@@ -90,20 +98,3 @@ def test_it_does_not_start_where_code_is_there(starts: list[int], monkeypatch: p
 def test_it_does_not_start_where_code_cannot_be_kept(starts: list[int]) -> None:
     SecondProcess()(Compilation(1, 0.2, going_on=True, unwritable="a read-only disk"))
     assert not starts
-
-
-def test_it_compiles_into_the_cache_and_ends_with_the_process_that_started_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("SAFETY_HARNESS_CACHE", str(tmp_path))
-    process = compile_ahead._start()
-    assert process is not None
-    assert process.stdin is not None
-    while process.poll() is None and not any(tmp_path.rglob("*.nbc")):
-        time.sleep(0.1)
-    assert process.poll() is None
-    other = compile_ahead._start()
-    assert other is not None
-    assert other.wait(60.0) == 0  # one is enough
-    process.stdin.close()  # as when the first process is killed
-    assert process.wait(60.0) == 0

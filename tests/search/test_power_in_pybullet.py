@@ -52,13 +52,14 @@ def test_a_wrong_proposal_is_found(avoider: Avoider) -> None:
 
 
 @pytest.mark.parametrize(
-    ("avoider", "words"),
-    [(Raises(), "ZeroDivisionError: no direction"), (Hangs(), "NoAnswerError")],
+    ("avoider", "words", "budget"),
+    [(Raises(), "ZeroDivisionError: no direction", BUDGET), (Hangs(), "NoAnswerError", 60)],
 )
 def test_an_avoider_that_raises_or_hangs_in_a_corner_is_found_and_the_search_goes_on(
-    avoider: Avoider, words: str
+    avoider: Avoider, words: str, budget: int
 ) -> None:
-    found = searched(avoider)
+    found = searched(avoider, budget=budget)
+    assert found.tried == budget or found.violated[0]  # as a run without an answer may do besides
     (group,) = found.of_claim(None)
     assert words in group.kind
 

@@ -145,11 +145,11 @@ def test_shrinking_keeps_to_what_the_reference_does_not_violate(folder: Path) ->
         assert Confirm(of_both, in_kinematic)(scenario) is new
 
 
-def test_an_avoider_that_is_worse_beyond_a_plane_is_found_there_within_128_runs(
+def test_an_avoider_that_is_worse_beyond_a_plane_is_found_there_within_64_runs(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     space, mine = Path("space.yaml"), "mine.py:Sideways"
-    assert fuzz(space, out=Path("out"), avoider=mine, against=REFERENCE, budget=128) == DIFFERS
+    assert fuzz(space, out=Path("out"), avoider=mine, against=REFERENCE, budget=64) == DIFFERS
     said = capsys.readouterr()
     assert "with opposite pose on the same draws: holds, +" in said.out
     assert "mine.py:Sideways violates a claim that opposite pose keeps in" in said.err
@@ -176,9 +176,9 @@ def test_an_equal_of_the_reference_has_nothing_that_it_does_not_do_as_well(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     space, mine = Path("space.yaml"), "mine.py:Equal"
-    assert fuzz(space, out=Path("out"), avoider=mine, against=REFERENCE, budget=40) == AS_EXPECTED
+    assert fuzz(space, out=Path("out"), avoider=mine, against=REFERENCE, budget=24) == AS_EXPECTED
     said = capsys.readouterr()
-    assert "nothing found that opposite pose does not do as well, in 40 runs" in said.err
+    assert "nothing found that opposite pose does not do as well, in 24 runs" in said.err
     assert said.out == ""
     found = json.loads((folder / "out" / "findings.json").read_text())
     assert found["distinct"] == []

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import re
+from functools import partial
 from pathlib import Path
 
+import hypothesis
 import pytest
+from hypothesis import Phase, settings
 from spaces import FILES, ROOT
 
 from safety_harness.base.exceptions import ScenarioError
@@ -23,6 +26,10 @@ BASE = {
     "tcp start": "tcp start: {offset: [0 mm, 0 mm, 0 mm]}",
     "claims": "claims: {gain switch reached: holds}",
 }
+
+
+# Without the last phase, which explains what was found already and takes most of the time.
+SEARCH = settings(max_examples=2000, database=None, phases=[Phase.generate, Phase.shrink])
 
 
 def blocks(kind: str) -> list[str]:
@@ -46,6 +53,7 @@ def test_every_python_example_runs_and_prints_what_it_says(
     example: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(ROOT)
+    monkeypatch.setattr(hypothesis, "find", partial(hypothesis.find, settings=SEARCH))
     exec(compile(example, "scenario-spaces.md", "exec"), {})
     printed = capsys.readouterr().out
     for promised in PROMISE.findall(example):

@@ -108,7 +108,7 @@ def test_the_simplest_scenario_is_in_the_space(space: ScenarioSpace) -> None:
 
 def test_the_sampler_has_each_parameters_own_distribution() -> None:
     """Draws, row by row from their seeds, against what the parameter's type says, where it is used."""
-    drawn = np.array([EVERYTHING.values_of(scenario) for scenario in EVERYTHING.draws(5, 400)])
+    drawn = np.array([EVERYTHING.values_of(scenario) for scenario in EVERYTHING.draws(5, 200)])
     looked_at = 0
     for parameter in EVERYTHING.parameters:
         values = drawn[:, parameter.column]
@@ -247,7 +247,7 @@ def test_many_repetitions_with_alternatives_come_back_all_the_same() -> None:
         + "hands: [{hand: h, starts at: [1 m, 1 m, 1 m], elbow towards: [2 m, 1 m, 1 m], moves: "
         + f"[{{repeat: from 1 to 20 times, moves: [{alternatives}]}}]}}]\n"
     )
-    for drawn in space.draws(1, 5):
+    for drawn in space.draws(1, 3):
         assert np.array_equal(
             space.values_of(drawn), space.values_of(space.at(space.cube_of(drawn))), equal_nan=True
         )
@@ -259,7 +259,7 @@ def test_more_ways_than_can_be_added_are_an_error_and_no_number() -> None:
     space = parse_space(
         HEAD
         + "hands: [{hand: h, starts at: [1 m, 1 m, 1 m], elbow towards: [2 m, 1 m, 1 m], moves: "
-        + f"[{{repeat: 12 times, moves: [{both}]}}]}}]\n"
+        + f"[{{repeat: 10 times, moves: [{both}]}}]}}]\n"
     )
     u = np.full(space.dimension, 0.25)  # each first alternative
     u[1::3] = 0.75  # of which the upper half is the second's as well
