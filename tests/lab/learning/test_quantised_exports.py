@@ -18,10 +18,10 @@ from tests.cell.avoidance.test_real_exports import (
     TCP,
     answered,
     network,
-    torch,
     write,
 )
 
+torch = pytest.importorskip("torch")
 pytestmark = pytest.mark.filterwarnings("ignore")  # of exporters about themselves
 
 
