@@ -90,11 +90,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
             AS_EXPECTED,
             "hand distance",
         ),
-        (
-            "campaign compare report/ledger.sqlite --controller ../controllers/drift.py:Drift --workers 1",
-            BAD_INPUT,  # found, and refused: it is the ledger's own
-            "",
-        ),
         ("verify report --runs 1 --seed 1 --execute-programs", AS_EXPECTED, "the report stands"),
         (
             "fuzz ../spaces/short.yaml --controller ../controllers/drift.py:Drift --budget 2 --out fuzz",
@@ -113,6 +108,18 @@ def test_every_command_finds_the_controller(
     assert result.exit_code == code, told(result)
     assert words in result.output
     assert "cannot be made" not in result.output, told(result)
+
+
+def test_a_refused_comparison_leaves_nothing_in_the_report(
+    made: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(made / "here")
+    command = "campaign compare report/ledger.sqlite --controller ../controllers/drift.py:Drift --workers 1"
+    before = {*Path("report").rglob("*")}
+    result = CliRunner().invoke(app, command.split())  # found, and refused: it is the ledger's own
+    assert result.exit_code == BAD_INPUT, told(result)
+    assert "cannot be made" not in result.output, told(result)
+    assert {*Path("report").rglob("*")} == before
 
 
 def test_exported_traces_are_replayed_and_attributed(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
