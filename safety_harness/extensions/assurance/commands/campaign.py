@@ -473,7 +473,7 @@ def compare(
             if plan.identity.systems == mine.declared.identity.systems:
                 if not (plan.file.parent / LEDGER).exists():  # in a report, "verify" would name these files
                     home = mine.path.resolve().parent
-                    rmtree(next(one for one in plan.file.resolve().parents if one.parent == home))
+                    rmtree(next(part for part in plan.file.resolve().parents if part.parent == home))
                 got = f"{reference}, the system of {first} by its hash: a comparison with itself"
                 raise ScenarioError.of_option(option_of(reference), "another system", got)
         first, second = plan.file.parent / LEDGER, first
