@@ -469,11 +469,13 @@ def compare(
         raise ScenarioError.of_option("compare", "either B or --against or --controller", "both or none")
     if reference is not None:
         with Ledger.open(first) as mine:
+            home = mine.path.resolve().parent
+            existing = {*home.iterdir()}
             plan = plan_against(mine, reference)
             if plan.identity.systems == mine.declared.identity.systems:
-                if not (plan.file.parent / LEDGER).exists():  # in a report, "verify" would name these files
-                    home = mine.path.resolve().parent
-                    rmtree(next(part for part in plan.file.resolve().parents if part.parent == home))
+                folder = next(part for part in plan.file.resolve().parents if part.parent == home)
+                if folder not in existing:  # in a report, "verify" would name its files
+                    rmtree(folder)
                 got = f"{reference}, the system of {first} by its hash: a comparison with itself"
                 raise ScenarioError.of_option(option_of(reference), "another system", got)
         first, second = plan.file.parent / LEDGER, first
