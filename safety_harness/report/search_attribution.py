@@ -2,28 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 from safety_harness.admission.admit import Admitter
 from safety_harness.base.exceptions import described
-from safety_harness.cell.simulation.worlds import KINEMATIC, REFERENCE, confirming_world, references
+from safety_harness.cell.simulation.worlds import KINEMATIC, WorldEntry, confirming_world, references
 from safety_harness.report.svg import Ink, describe, plain
 from safety_harness.scenario.model import Claim, Scenario
 from safety_harness.search.attribution.attribute import (
     Attribution,
     AttributionAnswer,
     Replay,
+    ReplaysInWorld,
     attribute,
     confirmed,
 )
+from safety_harness.search.attribution.ingredients import Altered
 from safety_harness.search.attribution.tally import AttributionTally, group_words
-from safety_harness.search.counterexample import Explanation, cost_s
+from safety_harness.search.counterexample import Allowance, Explanation
 from safety_harness.search.findings import Group
 from safety_harness.search.session import SearchSession, WrittenCounterexample
+from safety_harness.search.shrink import SpentError
+from safety_harness.trace.trace import Trace
 
 MOST_ATTRIBUTED = 100  # groups of violations that are attributed for one search
+
+
+@dataclass(frozen=True)
+class _ReplaysWithin:
+    """A Runner in ``world`` that raises SpentError before the ``allowance`` is spent."""
+
+    allowance: Allowance
+    world: WorldEntry = KINEMATIC
+
+    def __call__(self, systems: Sequence[Altered]) -> list[Trace | Exception]:
+        """Run all ``systems``."""
+        self.allowance.spend(self.world, [system.scenario for system in systems])
+        return ReplaysInWorld(self.world)(systems)
 
 
 def confirming_line(replay: Replay, attribution: Attribution) -> str:
@@ -65,15 +83,39 @@ class SearchAttribution:
     found: dict[str, Attribution] = field(default_factory=dict)
     _admitter: Admitter = field(default_factory=Admitter)
 
-    def explain(self, scenario: Scenario, claim: Claim) -> Explanation:
-        """Explain one counterexample; changes that remove the violation are also run in a reference."""
-        self.found.pop(scenario.name, None)  # of an example that had this name before a merge of groups
+    def explain(
+        self, scenario: Scenario, claim: Claim, allowance: Allowance | None = None, *, confirms: bool = True
+    ) -> Explanation:
+        """Explain one counterexample.
+
+        Args:
+            scenario: The violating scenario.
+            claim: The violated claim.
+            allowance: Limits the replays. None: no limit.
+            confirms: Repeat the run in a reference, unchanged and with the change that removes the violation,
+                if the allowance has so much.
+
+        Returns:
+            The explanation.
+
+        Raises:
+            SpentError: The allowance is too small for the replays.
+
+        """
+        allowance = allowance or Allowance()
         try:
             admitted = self._admitter.admit(scenario)
-            (attribution,) = attribute(admitted, (claim,))
-            runs_there = attribution.answer is AttributionAnswer.ATTRIBUTED and any(references())
-            there = confirmed(admitted, attribution) if runs_there else ()
+            (attribution,) = attribute(admitted, (claim,), run=_ReplaysWithin(allowance))
+            there: tuple[Replay, ...] = ()
+            if confirms and attribution.answer is AttributionAnswer.ATTRIBUTED and any(references()):
+                with suppress(SpentError):
+                    there = confirmed(
+                        admitted, attribution, run=_ReplaysWithin(allowance, confirming_world())
+                    )
+        except SpentError:
+            raise
         except Exception as error:  # a failing explanation must not lose the finding
+            self.found.pop(scenario.name, None)  # of an example that had this name before a merge of groups
             return Explanation((f"whose fault: cannot be told: {described(error)}",))
         self.found[scenario.name] = attribution
         changed = (replay for replay in there if replay.changes)
@@ -84,8 +126,6 @@ class SearchAttribution:
                 *(confirming_line(replay, attribution) for replay in changed),
             ),
             (attribution.mending or (f"{attribution.group}: {claim.sentence}",)) if known else (),
-            cost_s(KINEMATIC, [scenario] * (1 + len(attribution.replays)))
-            + cost_s(REFERENCE, [scenario] * len(there)),
         )
 
     def explains(self, shown: WrittenCounterexample) -> bool:

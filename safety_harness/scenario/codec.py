@@ -29,6 +29,8 @@ T = TypeVar("T")
 Tree: TypeAlias = "str | Mapping[str, Tree] | Sequence[Tree]"
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_./()%-]*(?: [A-Za-z0-9_./()%-]+)*")
 _ESCAPES = {'"': '\\"', "\\": "\\\\", "\n": "\\n"}
+_UNESCAPED = {escape: character for character, escape in _ESCAPES.items()}
+_ESCAPED = re.compile(r'\\(?:["\\n]|U[0-9a-f]{8})')
 
 
 def scalar_text(text: str) -> str:
@@ -36,6 +38,13 @@ def scalar_text(text: str) -> str:
     if _PLAIN.fullmatch(text):
         return text
     return '"' + "".join(_ESCAPES.get(c, c if c.isprintable() else f"\\U{ord(c):08x}") for c in text) + '"'
+
+
+def plain_text(scalar: str) -> str:
+    """Return the text that ``scalar_text`` wrote as ``scalar``."""
+    if not scalar.startswith('"'):
+        return scalar
+    return _ESCAPED.sub(lambda escape: _UNESCAPED.get(escape[0]) or chr(int(escape[0][2:], 16)), scalar[1:-1])
 
 
 def in_a_line(tree: Tree) -> str | None:

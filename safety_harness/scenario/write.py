@@ -7,9 +7,12 @@ from typing import Any
 
 from safety_harness.base.exceptions import refuse_other_type
 from safety_harness.base.settings import DEFAULTS, Settings
-from safety_harness.scenario.codec import Tree, in_a_line
+from safety_harness.scenario.codec import Tree, in_a_line, plain_text
 from safety_harness.scenario.faults import write_fault
 from safety_harness.scenario.model import HAND, HandTrajectory, RecordedHand, Scenario
+from safety_harness.scenario.nodes import Mapping as MappingNode
+from safety_harness.scenario.nodes import Node, Scalar
+from safety_harness.scenario.nodes import Sequence as SequenceNode
 from safety_harness.scenario.reference_tables import CLAIMS, TOP
 from safety_harness.scenario.robots import OwnRobot
 from safety_harness.scenario.settings_keys import SETTINGS_KEYS, TOP_GROUPS, setting_keys
@@ -56,6 +59,16 @@ def tree_of(scenario: Scenario, *, all_settings: bool = False) -> dict[str, Tree
 def text_of(tree: Tree) -> str:
     """Return the YAML text of a tree from ``tree_of``."""
     return "\n".join(_lines(tree)) + "\n"
+
+
+def node_of(tree: Tree) -> Node:
+    """Return the tree that ``parse_tree`` reads from ``text_of(tree)``, with all lines 1 and no file."""
+    if isinstance(tree, str):
+        return Scalar(plain_text(tree), 1)
+    if isinstance(tree, Mapping):
+        pairs = ((Scalar(plain_text(key), 1), node_of(value)) for key, value in tree.items())
+        return MappingNode(tuple(pairs), 1)
+    return SequenceNode(tuple(map(node_of, tree)), 1)
 
 
 def _hand(hand: HandTrajectory) -> dict[str, Tree]:

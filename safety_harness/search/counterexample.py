@@ -13,6 +13,7 @@ from functools import cached_property
 from itertools import count
 from math import inf
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -33,14 +34,15 @@ from safety_harness.trace.records import Check, DecisionOutcome
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import decided
 
-STARTS_S, ENGINE_COSTS = 5.0, 5.0  # measured: the cost of starting a run, and the factor of an engine
+# Measured on two processors: a run of a search takes 0.7 to 1 ms for each of STARTS_S + duration_s, and an
+# engine 25 ms for each simulated second.
+STARTS_S, ENGINE_COSTS = 5.0, 30.0
 
 
 def cost_s(world: WorldEntry, runs: Sequence[Scenario]) -> float:
     """Return what ``runs`` in ``world`` cost, as simulated seconds [s] of the kinematic world."""
-    return (ENGINE_COSTS if world.reference else 1.0) * sum(
-        STARTS_S + scenario.duration_s for scenario in runs
-    )
+    factor = ENGINE_COSTS if world.reference else 1.0
+    return sum(STARTS_S + factor * scenario.duration_s for scenario in runs)
 
 
 @dataclass(frozen=True)
@@ -48,21 +50,10 @@ class Explanation:
     """The reasons why a scenario violates a claim.
 
     ``lines`` are text for people. Two explanations have the same cause if they share a text in ``causes``.
-    The replays behind them cost ``cost_s``.
     """
 
     lines: tuple[str, ...] = ()
     causes: tuple[str, ...] = ()
-    cost_s: float = 0.0
-
-
-Explain = Callable[[Scenario, Claim], Explanation]
-"""Explains why a scenario violates a claim."""
-
-
-def unexplained(scenario: Scenario, claim: Claim) -> Explanation:
-    """Return an empty explanation of any scenario and claim."""
-    return Explanation()
 
 
 @dataclass(eq=False)
@@ -76,25 +67,56 @@ class Allowance:
     total_s: float = inf
     spent_s: float = 0.0
     until_s: float = inf
-    explained: bool = False  # whether an example was explained; the first is, at any cost
 
-    def share(self, *, last: bool) -> None:
-        """Give the next example half of the time that is left, or all of it if it is the ``last``."""
-        self.until_s = self.spent_s + (self.total_s - self.spent_s) * (1.0 if last else 0.5)
+    def share(self, *, last: bool, least_s: float = 0.0) -> None:
+        """Give the next example half of the time that is left, or all of it if it is the ``last``.
+
+        An example that costs ``least_s`` gets as much, if so much is left.
+        """
+        left_s = self.total_s - self.spent_s
+        self.until_s = self.spent_s + (left_s if last else min(left_s, max(0.5 * left_s, least_s)))
 
     def has(self, cost_s: float = 0.0) -> bool:
         """Return whether the present example may cost another ``cost_s``."""
         return self.spent_s + cost_s < self.until_s
 
+    def spend(self, world: WorldEntry, runs: Sequence[Scenario]) -> None:
+        """Add the cost of ``runs`` in ``world``; raise SpentError without a change if it is too high."""
+        runs_cost_s = cost_s(world, runs)
+        if not self.has(runs_cost_s):
+            raise SpentError
+        self.spent_s += runs_cost_s
+
     def metered(self, runner: ScenarioRunner) -> ScenarioRunner:
-        """Return ``runner`` with the cost of its runs added to ``spent_s``."""
+        """Return ``runner`` that adds the cost of its runs, and raises SpentError before a cost too high."""
         world: WorldEntry = getattr(runner, "world", KINEMATIC)
 
         def run(admitted: Sequence[Admitted]) -> Sequence[Trace | Exception]:
-            self.spent_s += cost_s(world, [run.scenario for run in admitted])
+            self.spend(world, [run.scenario for run in admitted])
             return runner(admitted)
 
         return run
+
+
+class Explain(Protocol):
+    """A function that explains why a scenario violates a claim."""
+
+    def __call__(
+        self, scenario: Scenario, claim: Claim, allowance: Allowance, *, confirms: bool = True
+    ) -> Explanation:
+        """Return the explanation; with ``confirms``, repeat it in a reference if the allowance has so much.
+
+        Raises:
+            SpentError: The allowance is too small for an explanation.
+
+        """
+
+
+def unexplained(
+    scenario: Scenario, claim: Claim, allowance: Allowance, *, confirms: bool = True
+) -> Explanation:
+    """Return an empty explanation of any scenario and claim."""
+    return Explanation()
 
 
 def seen_of(scenario: Scenario) -> SeenRegions:
@@ -180,9 +202,9 @@ class Counterexample:
     violations among DRAWS draws of the avoider's own randomness. ``found_margin`` [SI] is the margin in the
     confirming world before shrinking; None for a run error. ``found_contact`` and ``contact`` are the
     ``contact_words`` before and after shrinking. ``circumstances`` and ``attribution`` (the cause) are lines
-    for people; counterexamples with a common text in ``causes`` share a cause. An interruption leaves
-    ``attribution`` and ``draws`` empty, and a spent allowance (``is_cut``) may do so. In a scenario without
-    an avoider, ``draws`` is None.
+    for people; counterexamples with a common text in ``causes`` share a cause. A spent allowance (``is_cut``)
+    may leave ``attribution`` and ``draws`` empty. After an interruption, and in a scenario without an
+    avoider, ``draws`` is None.
     """
 
     complaint: Complaint
@@ -259,7 +281,7 @@ def counterexample_of(
     allowance: Allowance | None = None,
     on_step: Callable[[str], None] = lambda step: None,
 ) -> Counterexample | None:
-    """Confirm, shrink and explain the violation ``complaint`` of ``scenario``.
+    """Confirm, explain and shrink the violation ``complaint`` of ``scenario``.
 
     Every shrunk scenario must violate by at least a tenth of the first margin, so that its violation is not
     marginal. After Ctrl-C during shrinking, the result has the simplest scenario so far and
@@ -270,12 +292,11 @@ def counterexample_of(
         complaint: The claim or failure.
         world: The world that confirms.
         budget: The greatest number of runs for shrinking.
-        sooner: A quicker world that tests each candidate first, if it shows the violation of ``scenario``. It
-            rejects most candidates that do not violate. None: ``world`` alone.
+        sooner: A quicker world for shrinking, if it shows the violation of ``scenario``; ``world`` then runs
+            the shrunk scenario. None: ``world`` alone.
         explain: The function that explains a violation; it is not called for missing answers.
-        allowance: Limits shrinking to half of the allowance's present share, and attribution and draws to the
-            rest. Confirmation ignores the limit, and so does the explanation of the first violation. None: no
-            limit.
+        allowance: Limits explanation, shrinking and draws; the confirmations of ``scenario`` and of the
+            shrunk one are free. None: no limit.
         on_step: Receives the description of each step.
 
     Returns:
@@ -283,48 +304,38 @@ def counterexample_of(
 
     """
     allowance = allowance or Allowance()
-    world = allowance.metered(world)
     on_step("confirming")
-    first = world([admit(scenario)])[0]
-    if not complaint.is_in(first):
+    last = world([admit(scenario)])[0]
+    if not complaint.is_in(last):
         return None
-    margin = complaint.margin_in(first)
-    confirm = Confirm(complaint, world, by=-KEPT * (margin or 0.0))
-    confirms, runs = [confirm], count(1)
-    if sooner is not None and not complaint.kind and allowance.has():
-        quick = replace(confirm, world=allowance.metered(sooner))
-        confirms = [quick, confirm] if quick(scenario) else confirms  # never two for an avoider that hangs
-    until_s = (allowance.spent_s + allowance.until_s) / 2.0
-
-    def violates(simpler: Scenario) -> bool:
-        if allowance.spent_s >= until_s:
-            raise SpentError
-        on_step(f"shrinking, run {next(runs)} of at most {budget}")
-        return all(shows(simpler) for shows in confirms)
-
-    shrunk = shrink(scenario, violates, budget=budget)
-    is_cut = not shrunk.settled and allowance.spent_s >= until_s
+    margin, contact = complaint.margin_in(last), contact_words(last)
+    claim = None if complaint.kind else complaint.claim
     on_step("asking whose fault it is")
-    last = in_one_world(world, admit(shrunk.scenario), first if shrunk.scenario == scenario else None)
-    claim = None if complaint.kind or shrunk.interrupted else complaint.claim
-    affordable = allowance.has() or not allowance.explained
-    explanation = Explanation()
-    if claim is not None and affordable:
-        explanation = _explained(scenario, shrunk.scenario, claim, explain, allowance)
-    allowance.spent_s += explanation.cost_s
-    allowance.explained |= bool(explanation.lines)
+    explanation = (
+        Explanation() if claim is None else _affordable_explanation(allowance, explain, scenario, claim)
+    )
+    runs = _Remembering(allowance.metered(world))
+    confirm = Confirm(complaint, runs, by=-KEPT * (margin or 0.0))
+    quick = None if complaint.kind else sooner  # never two worlds for an avoider that hangs
+    shrunk = _shrunk(scenario, confirm, quick, budget, allowance, on_step)
+    if shrunk.scenario != scenario:
+        last = runs.run_of(shrunk.scenario) or world([admit(shrunk.scenario)])[0]
+        if claim is not None and explanation is not None:
+            explanation = _explained(explanation, shrunk, claim, explain, allowance)
+    judged = in_one_world(world, admit(shrunk.scenario), last)
     draws = not (shrunk.interrupted or shrunk.scenario.driven)
     drawn = draws and allowance.has(cost_s(REFERENCE, [shrunk.scenario] * DRAWS))
-    is_cut |= (claim is not None and not affordable) or draws is not drawn
+    is_cut = explanation is None or draws is not drawn or (not shrunk.settled and shrunk.used < budget)
+    explanation = explanation or Explanation()
     return Counterexample(
         complaint,
         shrunk,
-        last.run,
-        last.evaluations,
+        judged.run,
+        judged.evaluations,
         margin,
-        contact_words(first),
-        tuple(filter(None, (complaint.reference_words(last.run), *circumstances(last.run))))
-        if isinstance(last.run, Trace)
+        contact,
+        tuple(filter(None, (complaint.reference_words(last), *circumstances(last))))
+        if isinstance(last, Trace)
         else (),
         explanation.lines,
         confirm.share_of_draws(shrunk.scenario, DRAWS) if drawn else None,
@@ -333,22 +344,87 @@ def counterexample_of(
     )
 
 
-def _explained(
-    as_found: Scenario, shrunk: Scenario, claim: Claim, explain: Explain, allowance: Allowance
-) -> Explanation:
-    """Return the explanation of the run as found, and if it has no cause, that of the shrunk run too.
+class _Remembering:
+    """A ScenarioRunner that remembers the run of the last scenario."""
 
-    A shrunk run may end before a change fails, so a change that only gains time would count as its cause. The
-    second explanation must be within the ``allowance``.
+    def __init__(self, runner: ScenarioRunner) -> None:
+        self._runner, self._last = runner, list[tuple[Scenario, Trace | Exception]]()
+
+    def __call__(self, admitted: Sequence[Admitted]) -> Sequence[Trace | Exception]:
+        """Return one run for each scenario, in their order."""
+        runs = self._runner(admitted)
+        self._last = [(admitted[-1].scenario, runs[-1])]
+        return runs
+
+    def run_of(self, scenario: Scenario) -> Trace | Exception | None:
+        """Return the run of ``scenario`` if that was the last one; else None."""
+        return next((run for known, run in self._last if known == scenario), None)
+
+
+def _shrunk(
+    scenario: Scenario,
+    confirm: Confirm,
+    sooner: ScenarioRunner | None,
+    budget: int,
+    allowance: Allowance,
+    on_step: Callable[[str], None],
+) -> Shrunk:
+    """Return ``scenario`` shrunk for at most half of the allowance's present share.
+
+    With ``sooner``, the confirming world runs only the result. If that does not violate there, shrinking
+    starts again, and the confirming world tests each candidate that violates in ``sooner``.
     """
-    if shrunk == as_found:
-        return explain(shrunk, claim)
-    first = explain(replace(as_found, name=shrunk.name), claim)
-    if first.causes or not first.lines or not allowance.has(2.0 * first.cost_s):
-        return replace(first, lines=_naming("run as found", first.lines))
-    second = explain(shrunk, claim)
-    lines = (*_naming("run as found", first.lines), *_naming("shrunk run", second.lines))
-    return Explanation(lines, second.causes, first.cost_s + second.cost_s)
+    runs = count(1)
+
+    def shrunk_while(*confirms: Confirm) -> Shrunk:
+        def violates(simpler: Scenario) -> bool:
+            on_step(f"shrinking, run {next(runs)} of at most {budget}")
+            return all(shows(simpler) for shows in confirms)
+
+        until_s = allowance.until_s
+        allowance.until_s = (allowance.spent_s + until_s) / 2.0
+        shrunk = shrink(scenario, violates, budget=budget)
+        allowance.until_s = until_s
+        return shrunk
+
+    try:
+        if sooner is None:
+            return shrunk_while(confirm)
+        quick = replace(confirm, world=allowance.metered(sooner))
+        if not quick(scenario):
+            return shrunk_while(confirm)
+        shrunk = shrunk_while(quick)
+        if shrunk.scenario == scenario or confirm(shrunk.scenario):
+            return shrunk
+        if shrunk.interrupted:
+            return replace(shrunk, scenario=scenario, steps=())
+        return shrunk_while(quick, confirm)
+    except SpentError:
+        return Shrunk(scenario, (), 0, settled=False)
+
+
+def _affordable_explanation(
+    allowance: Allowance, explain: Explain, scenario: Scenario, claim: Claim
+) -> Explanation | None:
+    """Return the explanation of a violation; None if the ``allowance`` is too small for it."""
+    try:
+        return explain(scenario, claim, allowance)
+    except SpentError:
+        return None
+
+
+def _explained(
+    as_found: Explanation, shrunk: Shrunk, claim: Claim, explain: Explain, allowance: Allowance
+) -> Explanation:
+    """Return the explanation ``as_found``, and if it has no cause, with that of the shrunk run.
+
+    A shrunk run may end before a change fails, so a change that only gains time would count as its cause.
+    """
+    first = replace(as_found, lines=_naming("run as found", as_found.lines))
+    if first.causes or not first.lines or shrunk.interrupted:
+        return first
+    second = _affordable_explanation(allowance, explain, shrunk.scenario, claim) or Explanation()
+    return Explanation((*first.lines, *_naming("shrunk run", second.lines)), second.causes)
 
 
 def _naming(run: str, lines: tuple[str, ...]) -> tuple[str, ...]:

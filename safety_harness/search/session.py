@@ -52,6 +52,7 @@ from safety_harness.search.redrawn import keep_differences, more_overruled, wors
 from safety_harness.search.sampling import UniformSampling
 from safety_harness.search.search import find_violations
 from safety_harness.search.searchers import MakesSearcher
+from safety_harness.search.shrink import SpentError
 from safety_harness.search.trials import InWorld, ScenarioRunner, Trials
 from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
@@ -409,14 +410,15 @@ class SearchSession:
         each_s = cost_s(KINEMATIC, [self.trials.space.simplest])
         if not self.explains_all:
             self.allowance.total_s = each_s * sum(search.tried for search in self._searches)
+        an_example_s = AN_EXAMPLE * each_s
         going = []
         with self.output.messages() as report:
             for example in examples:
-                self.allowance.share(last=example is examples[-1])
+                self.allowance.share(last=example is examples[-1], least_s=an_example_s)
                 going += [example] if example.explain_next(report) else []
             self.allowance.share(last=True)
             while going:
-                affordable = self.allowance.has(AN_EXAMPLE * each_s)
+                affordable = self.allowance.has(an_example_s)
                 going = [
                     example
                     for example in going
@@ -561,8 +563,8 @@ class _Examples:
         if self.claim is None:
             return group.kind in causes
         claim = session.trials.claims[self.claim]
-        explanation = session.explain(session._scenario_of(session.out, group.worst), claim)
-        session.allowance.spent_s += explanation.cost_s
+        worst = session._scenario_of(session.out, group.worst)
+        explanation = session.explain(worst, claim, session.allowance, confirms=False)
         return not causes.isdisjoint(explanation.causes)
 
     def explain_next(self, report: Callable[[str], None]) -> bool:
@@ -576,6 +578,8 @@ class _Examples:
                 if self._has_an_example(group):
                     del self.left[0]
                     return True
+            except SpentError:
+                break
             except KeyboardInterrupt:
                 session.findings.interrupted = True
                 break

@@ -24,8 +24,8 @@ from safety_harness.scenario.model import (
     Scenario,
 )
 from safety_harness.scenario.moves import REACHING_MPS, ReachForObject, ReachForTcp
-from safety_harness.scenario.read import parse_scenario
-from safety_harness.scenario.write import write_scenario
+from safety_harness.scenario.read import scenario_of
+from safety_harness.scenario.write import node_of, tree_of, write_scenario
 from safety_harness.space.tracing import Path, leaves, path_text, value_at, with_value
 
 FINER = 3  # levels of round numbers, each ten times finer; a finer number stays unchanged
@@ -351,12 +351,13 @@ class _Shrinking:
 
 
 def _read_back(text: str, scenario: Scenario) -> Scenario | None:
-    """Return the scenario of a file with ``text``; None if that is no valid file.
+    """Return the scenario of a file with ``text``, the text of ``scenario``; None if that is no valid file.
 
-    Recorded motions are read again from their own files.
+    The reader gets the tree of the text, as parsing the text would take longer than the run. Recorded motions
+    are read again from their own files.
     """
     try:
-        read = parse_scenario(text, scenario.file, name=scenario.name)
+        read = scenario_of(node_of(tree_of(scenario)), scenario.file, name=scenario.name)
     except InputError:
         return None
     return read if write_scenario(read) == text else None

@@ -45,7 +45,8 @@ def test_what_is_written_afterwards_is_what_the_command_writes(folder: Path) -> 
     assert again.exit_code == 0
     said = repr(found)
     assert said.startswith(f"<short: {found.session.causes.summary}; ")
-    assert "PyBullet; claims exercised in " in said
+    assert " and in PyBullet" in said
+    assert "; claims exercised in " in said
     assert "\n" not in said
 
 

@@ -5,12 +5,15 @@ from pathlib import Path
 
 from hypothesis import HealthCheck, given
 from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
 from scenario_strategies import RECORDINGS, scenarios, settings
 
 from safety_harness.base.settings import DEFAULTS, Settings
+from safety_harness.scenario.codec import plain_text, scalar_text
 from safety_harness.scenario.model import Claim, MovingHand, OffsetStart, Scenario, Verdict
+from safety_harness.scenario.nodes import Mapping, Node, Scalar, parse_tree
 from safety_harness.scenario.read import parse_scenario
-from safety_harness.scenario.write import write_scenario
+from safety_harness.scenario.write import node_of, text_of, tree_of, write_scenario
 
 FILE = Path("example.yaml")
 PLAIN = Scenario(
@@ -24,6 +27,17 @@ PLAIN = Scenario(
     avoider="opposite pose",
     claims=(Claim(sentence="gain switch reached", expected=Verdict.HOLDS),),
 )
+
+
+def plain(node: Node) -> object:
+    """Return the values of a tree without their lines; a list of pairs for a mapping, as order counts."""
+    if isinstance(node, Scalar):
+        return node.text
+    if isinstance(node, Mapping):
+        return [(key.text, plain(value)) for key, value in node.entries]
+    return tuple(map(plain, node.items))
+
+
 quick = hypothesis_settings(deadline=None, max_examples=50, suppress_health_check=[HealthCheck.too_slow])
 
 
@@ -51,6 +65,19 @@ def test_no_bit_of_a_number_is_lost(scenario: Scenario) -> None:
 def test_writing_what_was_read_gives_the_same_text(scenario: Scenario) -> None:
     text = write_scenario(scenario)
     assert write_scenario(parse_scenario(text, FILE, RECORDINGS)) == text
+
+
+@quick
+@given(scenarios())
+def test_the_tree_of_a_scenario_is_the_tree_of_its_text(scenario: Scenario) -> None:
+    tree = tree_of(scenario)
+    assert plain(node_of(tree)) == plain(parse_tree(text_of(tree), FILE))
+
+
+@quick
+@given(st.text())
+def test_a_text_in_quotes_is_the_text_again(text: str) -> None:
+    assert plain_text(scalar_text(text)) == text
 
 
 @quick

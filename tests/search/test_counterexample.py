@@ -9,10 +9,18 @@ from pathlib import Path
 import pytest
 
 from safety_harness.admission.admit import Admitted, admit
-from safety_harness.scenario.model import Verdict
+from safety_harness.cell.simulation.worlds import KINEMATIC
+from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.scenario.read import read_scenario
 from safety_harness.search.confirm import Complaint
-from safety_harness.search.counterexample import Counterexample, contact_words, counterexample_of
+from safety_harness.search.counterexample import (
+    DRAWS,
+    Allowance,
+    Counterexample,
+    Explanation,
+    contact_words,
+    counterexample_of,
+)
 from safety_harness.search.trials import ScenarioRunner, in_kinematic
 from safety_harness.trace.trace import Trace
 
@@ -51,7 +59,7 @@ def test_a_world_asked_sooner_saves_the_other_most_runs_and_changes_nothing(
     with_it = shrunk(world, sooner)
     assert with_it.shrunk == alone[0].shrunk
     assert sooner.runs > with_it.shrunk.used
-    assert world.runs < 0.6 * alone[1]
+    assert world.runs == 2 + DRAWS  # as found, as shrunk, and the draws
 
 
 def test_one_that_does_not_show_what_was_found_is_not_asked_again(alone: tuple[Counterexample, int]) -> None:
@@ -69,6 +77,24 @@ def test_what_the_confirming_world_does_not_show_is_never_taken(alone: tuple[Cou
         ]
 
     assert shrunk(stricter, in_kinematic).shrunk.scenario.duration_s >= 2.0
+
+
+@pytest.mark.parametrize("total_s", [0.0, 30.0, 100.0, 400.0, 3000.0])
+def test_no_explanation_no_shrinking_and_no_draw_costs_more_than_the_allowance(total_s: float) -> None:
+    def explain(
+        scenario: Scenario, claim: Claim, allowance: Allowance, *, confirms: bool = True
+    ) -> Explanation:
+        allowance.spend(KINEMATIC, [scenario] * 30)
+        return Explanation(("why",))
+
+    allowance = Allowance(total_s, until_s=total_s)
+    case = counterexample_of(
+        FOUND, Complaint(CLAIM), in_kinematic, budget=200, explain=explain, allowance=allowance
+    )
+    assert case is not None  # a confirmed violation is never lost
+    assert case.is_cut == (total_s < 3000.0)
+    assert bool(case.attribution) == (total_s >= 400.0)
+    assert allowance.spent_s <= total_s
 
 
 def test_contact_as_found_is_told_although_shrinking_leaves_none(alone: tuple[Counterexample, int]) -> None:

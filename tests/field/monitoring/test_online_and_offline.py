@@ -141,4 +141,4 @@ def test_what_judge_decides_the_monitor_says_too_in_many_cells() -> None:
     all_found += [disagreements(seed, ends=True) for seed in range(400)]
     assert not [text for found, _, _ in all_found for text in found]
     judged, watched = (sum(one[side] for one in all_found) for side in (1, 2))
-    assert watched >= judged > 0.6 * len(CLAIMS) * len(all_found)
+    assert watched >= judged > 0.4 * len(CLAIMS) * len(all_found)

@@ -31,7 +31,7 @@ from safety_harness.extensions.field.logs.read import (
     said_in,
 )
 from safety_harness.extensions.field.logs.streams import LATEST_S, NS
-from safety_harness.scenario.codec import Tree, scalar_text
+from safety_harness.scenario.codec import Tree, plain_text, scalar_text
 from safety_harness.scenario.fields import Field, Fields
 from safety_harness.scenario.model import MAX_HANDS, Scenario
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, parse_tree
@@ -39,7 +39,7 @@ from safety_harness.scenario.nodes import Sequence as Items
 from safety_harness.scenario.read import scenario_of
 from safety_harness.scenario.robots import is_arm_file, read_robot
 from safety_harness.scenario.units import TIME, format_quantity
-from safety_harness.scenario.write import text_of
+from safety_harness.scenario.write import node_of, text_of
 
 TAKEN_OF_JOINTS = "joints: {known to: 0.1 deg, accelerate at most: 40 rad/s2, longest gap: 100 ms}\n"
 TAKEN_OF_HANDS = """\
@@ -197,7 +197,7 @@ def _scenario(given: Fields, period_s: float, document: Field) -> Scenario:
         "scenario": Scalar("a cell that is watched", 1),
         "duration": Scalar("1 s", 1),
         "avoider": Scalar(RECORDED, 1),
-        "tcp start": parse_tree(text_of({"joints": start}), None),
+        "tcp start": node_of({"joints": start}),
         "settings": settings_with(period_s, given.optional("settings")),
         "claims": claims_of(given.optional("claims")),
     }
@@ -211,12 +211,12 @@ def _scenario(given: Fields, period_s: float, document: Field) -> Scenario:
 def _seen_from_anywhere(robot: Tree, folder: Path) -> Tree:
     """Return the key ``robot`` with paths that include ``folder``, for a LOG.yaml in another folder."""
     if isinstance(robot, str):
-        text = robot.strip('"')
+        text = plain_text(robot)
         return (
             robot if text.startswith("shipped:") or not is_arm_file(text) else scalar_text(str(folder / text))
         )
     assert isinstance(robot, dict)
-    texts = {key: str(robot[key]).strip('"') for key in ("arm", "urdf", "capsules") if key in robot}
+    texts = {key: plain_text(str(robot[key])) for key in ("arm", "urdf", "capsules") if key in robot}
     return robot | {key: scalar_text(str(folder / path)) for key, path in texts.items() if ":" not in path}
 
 

@@ -238,7 +238,6 @@ def _sense(cell: _Cell, seen: _Seen, out: Values) -> None:
         _, high_m = cells(to_tcp_m[h], way_m + ways_m[0], exact[1:])
         above_m = between_m + 2.0 * or_next(hand_m)
         below_m = np.maximum(or_next(off_m), by_rad * tcp.reach_m.sum()) + or_next(hand_m)
-        below_m[-1], above_m[-1] = above_m[-1], above_m[-1] + at_m[-1]
         _put(out[:, TCP_DISTANCE], to_tcp_m[h], at_m, low_m, high_m, below_m, above_m)
         at_m, low_m = np.maximum(hand_m, elbow_m) + off_m, apart_m[h].copy()
         ends_m, ways_m = between_ticks(
