@@ -244,6 +244,15 @@ class Admitter:
             return admitted
         return _with_filter(admitted, self._drivers.filter_for(scenario))
 
+    def admit_afresh(self, scenario: Scenario) -> Admitted:
+        """Do as ``admit``, but start the user's programs anew, without memory of earlier runs.
+
+        A policy in an ONNX file is no such program: each run begins with the same memory.
+        """
+        self._avoiders.forget_programs()
+        self._drivers.forget_programs()
+        return self.admit(scenario)
+
     def _admitted(self, checked: Checked) -> Admitted:
         """Return the checked scenario with its avoider or controller, but without its safety filter."""
         scenario = checked.scenario

@@ -89,6 +89,10 @@ class Avoiders:
             self._programs[path, name] = _made(scenario)
         return self._programs[path, name]
 
+    def forget_programs(self) -> None:
+        """Forget the avoiders that may remember earlier runs."""
+        self._programs.clear()
+
 
 def _made(scenario: Scenario) -> tuple[Avoider, str]:
     """Return a new avoider and the hash of its file."""

@@ -123,6 +123,10 @@ class Drivers:
             raise InadmissibleError(place=place, expected=expected, got=got or "nothing", hint=hint)
         return made
 
+    def forget_programs(self) -> None:
+        """Forget the controllers and filters that may remember earlier runs."""
+        self._made = {key: made for key, made in self._made.items() if names_onnx(key[0])}
+
     def _made_of(self, key: tuple[str, Path | None], place: Place) -> MadeDriver:
         """Return the controller or filter of a reference and folder, made now."""
         make = controller_of(*key, place)

@@ -81,7 +81,7 @@ class SearchAttribution:
     """The attribution of a search's violations, with the result for each counterexample by its name."""
 
     found: dict[str, Attribution] = field(default_factory=dict)
-    _admitter: Admitter = field(default_factory=Admitter)
+    admitter: Admitter = field(default_factory=Admitter)
 
     def explain(
         self, scenario: Scenario, claim: Claim, allowance: Allowance | None = None, *, confirms: bool = True
@@ -104,7 +104,7 @@ class SearchAttribution:
         """
         allowance = allowance or Allowance()
         try:
-            admitted = self._admitter.admit(scenario)
+            admitted = self.admitter.admit(scenario)
             (attribution,) = attribute(admitted, (claim,), run=_ReplaysWithin(allowance))
             there: tuple[Replay, ...] = ()
             if confirms and attribution.answer is AttributionAnswer.ATTRIBUTED and any(references()):
@@ -163,7 +163,7 @@ class SearchAttribution:
         """Attribute groups that share the same worst run, which is admitted only once."""
         trials, worst = session.trials, groups[0].worst
         claims = tuple(trials.claims[group.claim] for group in groups if group.claim is not None)
-        return attribute(self._admitter.admit(trials.scenario(worst.point, worst.number)), claims)
+        return attribute(self.admitter.admit(trials.scenario(worst.point, worst.number)), claims)
 
 
 def _by_run(groups: list[Group]) -> Iterator[list[Group]]:

@@ -117,6 +117,7 @@ def fuzz(
         baseline=baseline,
         explain=attribution.explain,
         explains_all=explain == "all",
+        admitter=attribution.admitter,
         concluding=_write_interim,
     )
     if session.unwritable is not None:

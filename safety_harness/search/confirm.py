@@ -6,6 +6,7 @@ becomes a ``Disagreement`` with the runs of both.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -82,17 +83,19 @@ def failure_of(run: Trace | Exception) -> str:
 class Confirm:
     """A function that admits and runs a scenario, and returns whether the run shows the complaint.
 
-    A claim counts only if it is violated by at least ``by`` [SI].
+    A claim counts only if it is violated by at least ``by`` [SI]. By default, ``admit`` starts a user's
+    program anew for each run.
     """
 
     complaint: Complaint
     world: ScenarioRunner
     by: float = 0.0
+    admit: Callable[[Scenario], Admitted] = admit
 
     def __call__(self, scenario: Scenario) -> bool:
         """Return whether ``scenario`` shows the complaint; False if admission refuses it."""
         try:
-            run = self.world([admit(scenario)])[0]
+            run = self.world([self.admit(scenario)])[0]
         except InputError:
             return False
         margin = self.complaint.margin_in(run)
@@ -103,7 +106,7 @@ class Confirm:
 
         All else in the scenario stays the same.
         """
-        admitted = admit(scenario)
+        admitted = self.admit(scenario)
         redrawn = (replace(admitted, avoider=OtherDraws(admitted.avoider, k)) for k in range(draws))
         return sum(self.complaint.is_in(self.world([draw])[0]) for draw in redrawn)
 

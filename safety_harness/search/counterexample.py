@@ -17,7 +17,7 @@ from typing import Protocol
 
 import numpy as np
 
-from safety_harness.admission.admit import Admitted, admit
+from safety_harness.admission.admit import Admitted, Admitter
 from safety_harness.admission.avoiders import folder_of
 from safety_harness.cell.simulation.worlds import KINEMATIC, REFERENCE, WorldEntry
 from safety_harness.claims.properties.base import Evaluation
@@ -279,6 +279,7 @@ def counterexample_of(
     sooner: ScenarioRunner | None = None,
     explain: Explain = unexplained,
     allowance: Allowance | None = None,
+    admitter: Admitter | None = None,
     on_step: Callable[[str], None] = lambda step: None,
 ) -> Counterexample | None:
     """Confirm, explain and shrink the violation ``complaint`` of ``scenario``.
@@ -293,19 +294,20 @@ def counterexample_of(
         world: The world that confirms.
         budget: The greatest number of runs for shrinking.
         sooner: A quicker world for shrinking, if it shows the violation of ``scenario``; ``world`` then runs
-            the shrunk scenario. None: ``world`` alone.
+            the shrunk scenario. None: ``world``.
         explain: The function that explains a violation; it is not called for missing answers.
         allowance: Limits explanation, shrinking and draws; the confirmations of ``scenario`` and of the
             shrunk one are free. None: no limit.
+        admitter: The admitter of all runs. None: a new one.
         on_step: Receives the description of each step.
 
     Returns:
         The counterexample; None if ``world`` does not show the complaint.
 
     """
-    allowance = allowance or Allowance()
+    allowance, admitter = allowance or Allowance(), admitter or Admitter()
     on_step("confirming")
-    last = world([admit(scenario)])[0]
+    last = world([admitter.admit_afresh(scenario)])[0]
     if not complaint.is_in(last):
         return None
     margin, contact = complaint.margin_in(last), contact_words(last)
@@ -315,14 +317,13 @@ def counterexample_of(
         Explanation() if claim is None else _affordable_explanation(allowance, explain, scenario, claim)
     )
     runs = _Remembering(allowance.metered(world))
-    confirm = Confirm(complaint, runs, by=-KEPT * (margin or 0.0))
-    quick = None if complaint.kind else sooner  # never two worlds for an avoider that hangs
-    shrunk = _shrunk(scenario, confirm, quick, budget, allowance, on_step)
+    confirm = Confirm(complaint, runs, by=-KEPT * (margin or 0.0), admit=admitter.admit_afresh)
+    shrunk = _shrunk(scenario, confirm, sooner or world, admitter, budget, allowance, on_step)
     if shrunk.scenario != scenario:
-        last = runs.run_of(shrunk.scenario) or world([admit(shrunk.scenario)])[0]
+        last = runs.run_of(shrunk.scenario) or world([admitter.admit_afresh(shrunk.scenario)])[0]
         if claim is not None and explanation is not None:
             explanation = _explained(explanation, shrunk, claim, explain, allowance)
-    judged = in_one_world(world, admit(shrunk.scenario), last)
+    judged = in_one_world(world, admitter.admit(shrunk.scenario), last)
     draws = not (shrunk.interrupted or shrunk.scenario.driven)
     drawn = draws and allowance.has(cost_s(REFERENCE, [shrunk.scenario] * DRAWS))
     is_cut = explanation is None or draws is not drawn or (not shrunk.settled and shrunk.used < budget)
@@ -364,15 +365,17 @@ class _Remembering:
 def _shrunk(
     scenario: Scenario,
     confirm: Confirm,
-    sooner: ScenarioRunner | None,
+    sooner: ScenarioRunner,
+    admitter: Admitter,
     budget: int,
     allowance: Allowance,
     on_step: Callable[[str], None],
 ) -> Shrunk:
     """Return ``scenario`` shrunk for at most half of the allowance's present share.
 
-    With ``sooner``, the confirming world runs only the result. If that does not violate there, shrinking
-    starts again, and the confirming world tests each candidate that violates in ``sooner``.
+    The candidates run in ``sooner``, with one instance of a user's program for all. The confirming world
+    runs only the result, with a fresh instance. If that does not violate, shrinking starts again, and the
+    confirming world tests each candidate that violates in ``sooner``.
     """
     runs = count(1)
 
@@ -388,10 +391,8 @@ def _shrunk(
         return shrunk
 
     try:
-        if sooner is None:
-            return shrunk_while(confirm)
-        quick = replace(confirm, world=allowance.metered(sooner))
-        if not quick(scenario):
+        quick = replace(confirm, world=allowance.metered(sooner), admit=admitter.admit)
+        if confirm.complaint.kind or not quick(scenario):  # never two worlds for an avoider that hangs
             return shrunk_while(confirm)
         shrunk = shrunk_while(quick)
         if shrunk.scenario == scenario or confirm(shrunk.scenario):

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from safety_harness.admission.admit import admit
+from safety_harness.admission.admit import Admitter
 from safety_harness.admission.avoiders import as_seen_from
 from safety_harness.admission.repeatability import RepeatabilityResult
 from safety_harness.admission.trial import run_all
@@ -154,15 +154,16 @@ class SearchSession:
     """One search of a space with its findings; it prints a finding that it cannot write.
 
     ``baseline`` holds the findings of uniform sampling with the same budget. ``confirmed`` counts the
-    findings that all ``references`` show too: the installed worlds that confirm results. Without one,
-    they shrink in the searched world, and ``confirmed`` stays 0. ``unwritable`` is the reason why the
-    session stopped writing. ``explain`` is called to explain each violation. ``repeated`` compares the
-    avoider's answers with those of a second instance; None without this comparison. ``flips`` lists
-    differences from the reference avoider that a redraw did not show. ``worse`` has sentences on what the
-    avoider does worse than the reference although it violates no claim for it: proposals that the gate
-    refuses, wrong or late answers. Unless ``explains_all``, an ``allowance`` limits explanations to the
-    search's simulated time. ``examples`` holds the violations of each claim. The session calls
-    ``concluding`` after the search. ``keeps`` tells whether the session writes findings to ``out``.
+    findings that all ``references`` show too: the installed worlds that confirm results. Without one, they
+    shrink in the searched world, and ``confirmed`` stays 0. ``unwritable`` is the reason why the session
+    stopped writing. ``explain`` is called to explain each violation. ``repeated`` compares the avoider's
+    answers with those of a second instance; None without this comparison. ``flips`` lists differences from
+    the reference avoider that a redraw did not show. ``worse`` has sentences on what the avoider does worse
+    than the reference although it violates no claim for it: proposals that the gate refuses, wrong or late
+    answers. Unless ``explains_all``, an ``allowance`` limits explanations to the search's simulated time.
+    ``examples`` holds the violations of each claim. The session calls ``concluding`` after the search.
+    ``admitter`` admits the runs that confirm, shrink and explain. ``keeps`` tells whether the session writes
+    findings to ``out``.
     """
 
     trials: Trials
@@ -186,6 +187,7 @@ class SearchSession:
     keeps: bool = True
     allowance: Allowance = field(default_factory=Allowance)
     examples: list[_Examples] = field(default_factory=list)
+    admitter: Admitter = field(default_factory=Admitter)
 
     @property
     def confirming(self) -> ScenarioRunner:
@@ -451,6 +453,7 @@ class SearchSession:
                     sooner=self.trials.world if self.references else None,
                     explain=self.explain,
                     allowance=self.allowance,
+                    admitter=self.admitter,
                     on_step=on_step,
                 )
             except KeyboardInterrupt:
@@ -465,7 +468,7 @@ class SearchSession:
             self.output.say(f"not confirmed in {self._confirming_words}: {where}")
             return None
         for world in self.references[1:]:
-            if not Confirm(complaint, InWorld(world))(case.shrunk.scenario):
+            if not Confirm(complaint, InWorld(world), admit=self.admitter.admit_afresh)(case.shrunk.scenario):
                 self._keep_unconfirmed(group, complaint, case.shrunk.scenario, InWorld(world))
                 worlds = f"{self.references[0]} shows this, {world} does not"
                 self.output.result(f"REFERENCES DISAGREE  {complaint.sentence}: {worlds}")
@@ -475,7 +478,9 @@ class SearchSession:
 
     def _with_physics(self, case: Counterexample) -> Counterexample:
         """Count a confirmed case, and return it with a line that says whether physics had a part in it."""
-        (model,) = run_all([admit(case.shrunk.scenario)], KINEMATIC)  # which refuses rendered images
+        (model,) = run_all(
+            [self.admitter.admit_afresh(case.shrunk.scenario)], KINEMATIC
+        )  # which refuses rendered images
         had_part, sentence = physics_of(case.run, model)
         self.confirmed, self.physical = self.confirmed + 1, self.physical + had_part
         line = f"repeated in {self._confirming_words}; {sentence}"
@@ -611,6 +616,7 @@ def search_space(
     baseline: bool = False,
     explain: Explain = unexplained,
     explains_all: bool = True,
+    admitter: Admitter | None = None,
     concluding: Callable[[SearchSession], None] = lambda session: None,
 ) -> SearchSession:
     """Search a space, then shrink, confirm, explain and write the findings.
@@ -628,6 +634,7 @@ def search_space(
         explain: The function that explains a violation.
         explains_all: Explain all violations; otherwise explanations take at most as much simulated time as
             the search.
+        admitter: Admits all runs after the search. None: a new one.
         concluding: Receives the session after the search, before the first explanation.
 
     Returns:
@@ -640,6 +647,7 @@ def search_space(
     able = tuple(world for world in references() if world.makes_images_of(trials.space.simplest))
     session = SearchSession(trials, out or Path(), budget, output, able, explain, explains_all, concluding)
     session.keeps = out is not None
+    session.admitter = admitter or session.admitter
     at = session.out
     files = [*at.glob("*.yaml"), *(at / AS_FOUND).rglob("*.yaml")] if (at / FINDINGS).exists() else []
     if session.keeps and files:

@@ -250,7 +250,7 @@ def test_a_page_of_a_campaign_that_fails_leaves_its_lines(
 
 def test_a_scenario_that_cannot_be_admitted_again_is_no_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
     explaining = SearchAttribution()
-    monkeypatch.setattr(explaining._admitter, "admit", broken, raising=False)
+    monkeypatch.setattr(explaining.admitter, "admit", broken, raising=False)
     scenario: Any = SimpleNamespace(name="near-1")
     (line,) = explaining.explain(scenario, None).lines  # type: ignore[arg-type]
     assert line.startswith("whose fault: cannot be told")
