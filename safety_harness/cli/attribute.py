@@ -8,7 +8,7 @@ from pathlib import Path
 
 from safety_harness.admission.avoiders import SAFETY_FILTER, option_of
 from safety_harness.base.input_errors import InputErrors
-from safety_harness.cell.simulation.worlds import confirming_world, references
+from safety_harness.cell.simulation.worlds import confirming_world, references, world_named
 from safety_harness.cli.console import BAD_INPUT, document, next_step, result, say
 from safety_harness.cli.progress import TERMINAL
 from safety_harness.report.attribution_job import DATA, PICTURE, TRACE, AttributionResult, attribute
@@ -20,6 +20,7 @@ def attribute_runs(
     out: Path | None,
     confirm: bool,
     safety_filter: str | None = None,
+    world: str | None = None,
 ) -> int:
     """Attribute the violations of runs, print and write the result, and return the exit code.
 
@@ -29,11 +30,17 @@ def attribute_runs(
         out: the folder to write into; None writes no files.
         confirm: whether each attribution is repeated in a reference world.
         safety_filter: the safety filter that made the traces; None if they have none.
+        world: the world of the replays; None: the kinematic world.
 
     """
     try:
         made = attribute(
-            paths, avoider=avoider, safety_filter=safety_filter, confirm=confirm, output=TERMINAL
+            paths,
+            avoider=avoider,
+            safety_filter=safety_filter,
+            confirm=confirm,
+            world=None if world is None else world_named(world, "--world"),
+            output=TERMINAL,
         )
     except InputErrors as error:
         say(f"{error.inputs} of the inputs cannot be used; nothing was run.")
@@ -45,6 +52,7 @@ def attribute_runs(
     if made.attributions and not confirm and any(references()):
         chosen = [] if avoider is None else [option_of(avoider), str(avoider)]
         chosen += [] if safety_filter is None else [SAFETY_FILTER, safety_filter]
+        chosen += [] if world is None else ["--world", world]
         command = ["safety-harness", "attribute", *map(str, paths), *chosen, "--confirm"]
         next_step(shlex.join(command), f"the same in {confirming_world()}")
     else:

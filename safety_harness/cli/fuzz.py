@@ -33,6 +33,14 @@ def fuzz(
             "--claim", help="Search for violations of this, in place of the space's claims; may be repeated."
         ),
     ] = None,
+    world: Annotated[
+        str | None,
+        Option(
+            "--world",
+            help="Search in this world, such as exec:SIMULATOR; without it in the kinematic world.",
+            metavar="WORLD",
+        ),
+    ] = None,
     baseline: Annotated[
         bool,
         Option(
@@ -69,6 +77,7 @@ def fuzz(
     """
     from safety_harness.admission.avoiders import one_of, with_avoider
     from safety_harness.admission.driving import named_system
+    from safety_harness.cell.simulation.worlds import world_named
     from safety_harness.cli.progress import terminal
     from safety_harness.report.search_job import fuzz as fuzz_space
     from safety_harness.report.words import tested_words
@@ -84,6 +93,7 @@ def fuzz(
         seed=seed,
         searcher=searcher,
         claims=claims or (),
+        world=None if world is None else world_named(world, "--world"),
         baseline=baseline,
         explain=explain,
         out=out,

@@ -73,6 +73,10 @@ OfWorld = Annotated[
         metavar="WORLD",
     ),
 ]
+OfReplays = Annotated[
+    str | None,
+    Option("--world", help="The world of the replays; without it the kinematic world.", metavar="WORLD"),
+]
 OfWorldAgain = Annotated[
     str | None,
     Option(

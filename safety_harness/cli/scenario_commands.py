@@ -17,6 +17,7 @@ from safety_harness.cli.options import (
     OfController,
     OfFilter,
     OfReference,
+    OfReplays,
     OfSpace,
     OfWorld,
     OfWorldAgain,
@@ -331,22 +332,23 @@ def attribute(
     safety_filter: OfFilter = None,
     out: AttributionOut = None,
     confirm: Confirm = False,
+    world: OfReplays = None,
 ) -> int:
     """Find the ingredient that caused each violation.
 
     The command repeats the run with one ingredient changed, then two. It changes the avoider, its deadline,
     perception, drives and brakes, the servoing camera, prediction, the gate, the fallback and the critical
     distance. Last it halves the speed of the hand. A violation that no arm could have avoided is unavoidable.
-    For a trace the command attributes all its violations; for a scenario file, all that the kinematic replay
-    violates. Name the program that made a trace again.
+    For a trace the command attributes all its violations; for a scenario file, all that the unchanged replay
+    violates. Replays run in the kinematic world, or in --world. Name the program that made a trace again.
     For a controller other than the visual servo, the command omits the ingredients that it does not have.
 
     Exit code 0: every violation has an answer.
-    Exit code 1: the kinematic replay fails, or does not show a violation.
+    Exit code 1: the unchanged replay fails, or does not show a violation.
     Exit code 2: bad input, without a run.
     Exit code 130: interrupted.
     """
     from safety_harness.admission.avoiders import one_of
     from safety_harness.cli.attribute import attribute_runs
 
-    return attribute_runs(runs, one_of(avoider, controller), out, confirm, safety_filter)
+    return attribute_runs(runs, one_of(avoider, controller), out, confirm, safety_filter, world)

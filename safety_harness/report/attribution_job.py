@@ -15,7 +15,7 @@ from safety_harness.base.input_errors import InputErrors, each_once, usable
 from safety_harness.base.output import AS_EXPECTED, DIFFERS, INTERRUPTED, QUIET, Output
 from safety_harness.base.shipped.contents import located
 from safety_harness.base.whole_file import write_text
-from safety_harness.cell.simulation.worlds import KINEMATIC, confirming_world
+from safety_harness.cell.simulation.worlds import KINEMATIC, WorldEntry, confirming_world, world_named
 from safety_harness.report.page_parts import asset
 from safety_harness.report.run_result import RunResult
 from safety_harness.report.search_attribution import confirming_line, draw_attributions
@@ -25,7 +25,13 @@ from safety_harness.scenario.expand import gather
 from safety_harness.scenario.files import as_path
 from safety_harness.scenario.kinds import FileKind, command_for, kind_of
 from safety_harness.scenario.model import Claim, Scenario, Verdict
-from safety_harness.search.attribution.attribute import Attribution, AttributionAnswer, confirmed
+from safety_harness.search.attribution.attribute import (
+    KINEMATIC_REPLAYS,
+    Attribution,
+    AttributionAnswer,
+    ReplaysInWorld,
+    confirmed,
+)
 from safety_harness.search.attribution.attribute import attribute as attribute_run
 from safety_harness.search.attribution.shielding import attribute_shield
 from safety_harness.search.attribution.tally import AttributionTally
@@ -46,6 +52,7 @@ def attribute(
     controller: str | None = None,
     safety_filter: str | None = None,
     confirm: bool = False,
+    world: WorldEntry | str | None = None,
     output: Output = QUIET,
 ) -> AttributionResult:
     """Find the causes of violations by repeating each run with one or two parts of the system changed.
@@ -61,6 +68,7 @@ def attribute(
         controller: The controller of a trace, which you name again for the same reason.
         safety_filter: The safety filter of a trace, which you name again for the same reason.
         confirm: Whether to repeat in PyBullet each violation, and each run with the blamed parts changed.
+        world: The world of the replays, such as the user's simulator. None: the kinematic world.
         output: The ``Output`` that shows the progress.
 
     Raises:
@@ -69,6 +77,8 @@ def attribute(
 
     """
     tested = one_of(avoider, controller)
+    replays = ReplaysInWorld(world_named(world, "world") if isinstance(world, str) else world or KINEMATIC)
+    replays.world.opener()
     if confirm:
         confirming_world().opener()
     scenarios, errors = _scenarios(runs, tested, safety_filter)
@@ -77,7 +87,8 @@ def attribute(
         for error in all_refused:
             output.explain(error)
         raise InputErrors(all_refused, left=len(admitted))
-    attributed = attribute_all([(ready, ()) for ready in admitted], len(admitted), "runs", confirm, output)
+    ready = [(run, ()) for run in admitted]
+    attributed = attribute_all(ready, len(admitted), "runs", confirm, output, replays)
     if not (attributed.attributions or attributed.failed or attributed.interrupted):
         output.say(f"{len(admitted)} runs without a violation: nothing to attribute")
     return attributed
@@ -91,12 +102,14 @@ class AttributionResult:
         attributions: The causes of each violation.
         failed: Whether a run could not be repeated.
         interrupted: Whether Ctrl-C ended the job.
+        world: The world of the replays.
 
     """
 
     attributions: tuple[Attribution, ...]
     failed: bool = False
     interrupted: bool = False
+    world: WorldEntry = KINEMATIC
 
     @property
     def tally(self) -> AttributionTally:
@@ -113,7 +126,7 @@ class AttributionResult:
 
     def __repr__(self) -> str:
         summary = self.tally.summary if self.attributions else "nothing to attribute"
-        return f"<violations in {KINEMATIC}, {summary}>"
+        return f"<violations in {self.world}, {summary}>"
 
     def data(self) -> dict[str, object]:
         """Return the content of attribution.json."""
@@ -128,7 +141,12 @@ class AttributionResult:
 
 
 def attribute_all(
-    runs: Iterable[tuple[Admitted, Sequence[Claim]]], count: int, unit: str, confirm: bool, output: Output
+    runs: Iterable[tuple[Admitted, Sequence[Claim]]],
+    count: int,
+    unit: str,
+    confirm: bool,
+    output: Output,
+    replays: ReplaysInWorld = KINEMATIC_REPLAYS,
 ) -> AttributionResult:
     """Attribute the violations of runs and print the result, until all are done or Ctrl-C is pressed.
 
@@ -138,6 +156,7 @@ def attribute_all(
         unit: The word for one run in the progress display.
         confirm: Whether each attribution is repeated in PyBullet.
         output: The ``Output`` that prints the lines.
+        replays: The runner of the replays.
 
     """
     done: list[Attribution] = []
@@ -147,7 +166,8 @@ def attribute_all(
             show(0)
             for number, (admitted, claims) in enumerate(runs, start=1):
                 try:
-                    attributions, shield = attribute_run(admitted, claims), attribute_shield(admitted)
+                    attributions = attribute_run(admitted, claims, run=replays)
+                    shield = attribute_shield(admitted, replays)
                 except Exception as error:  # one run's failure must not cost the others' answers
                     failed = True
                     output.say(f"error: {admitted.scenario.name} could not be run again: {described(error)}")
@@ -162,7 +182,7 @@ def attribute_all(
                 show(number)
     except KeyboardInterrupt:
         interrupted = True
-    return AttributionResult(tuple(done), failed, interrupted)
+    return AttributionResult(tuple(done), failed, interrupted, replays.world)
 
 
 def _lines(cause: Attribution, confirming: Admitted | None) -> Iterator[str]:

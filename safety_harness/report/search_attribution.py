@@ -78,8 +78,12 @@ class FaultsOfSearch:
 
 @dataclass(eq=False)
 class SearchAttribution:
-    """The attribution of a search's violations, with the result for each counterexample by its name."""
+    """The attribution of a search's violations, with the result for each counterexample by its name.
 
+    All replays run in ``world``.
+    """
+
+    world: WorldEntry = KINEMATIC
     found: dict[str, Attribution] = field(default_factory=dict)
     admitter: Admitter = field(default_factory=Admitter)
 
@@ -105,7 +109,7 @@ class SearchAttribution:
         allowance = allowance or Allowance()
         try:
             admitted = self.admitter.admit(scenario)
-            (attribution,) = attribute(admitted, (claim,), run=_ReplaysWithin(allowance))
+            (attribution,) = attribute(admitted, (claim,), run=_ReplaysWithin(allowance, self.world))
             there: tuple[Replay, ...] = ()
             if confirms and attribution.answer is AttributionAnswer.ATTRIBUTED and any(references()):
                 with suppress(SpentError):
@@ -163,7 +167,8 @@ class SearchAttribution:
         """Attribute groups that share the same worst run, which is admitted only once."""
         trials, worst = session.trials, groups[0].worst
         claims = tuple(trials.claims[group.claim] for group in groups if group.claim is not None)
-        return attribute(self.admitter.admit(trials.scenario(worst.point, worst.number)), claims)
+        admitted = self.admitter.admit(trials.scenario(worst.point, worst.number))
+        return attribute(admitted, claims, run=ReplaysInWorld(self.world))
 
 
 def _by_run(groups: list[Group]) -> Iterator[list[Group]]:

@@ -10,14 +10,22 @@ from datetime import UTC, datetime
 from math import isfinite
 from pathlib import Path
 
+from safety_harness.admission.admit import admit
 from safety_harness.admission.agreement import measured_agreement
 from safety_harness.admission.avoiders import one_of, option_of, told_avoider
 from safety_harness.admission.comparison import reference_for
-from safety_harness.base.exceptions import OutputError, ScenarioError
+from safety_harness.base.exceptions import (
+    InadmissibleError,
+    InputError,
+    OutputError,
+    Place,
+    ScenarioError,
+    SimulationError,
+)
 from safety_harness.base.interrupts import one_more_ctrl_c
 from safety_harness.base.output import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED, QUIET, Output
 from safety_harness.base.whole_file import write_text
-from safety_harness.cell.simulation.worlds import KINEMATIC
+from safety_harness.cell.simulation.worlds import KINEMATIC, WorldEntry, world_named
 from safety_harness.claims.properties.against import Against
 from safety_harness.claims.properties.answered import fallback_words
 from safety_harness.report.decisions import cost_words
@@ -34,14 +42,13 @@ from safety_harness.search.sampling import UniformSampling
 from safety_harness.search.searchers import searcher_named
 from safety_harness.search.session import (
     FINDINGS,
-    NO_REFERENCE,
     SearchSession,
     WrittenCounterexample,
     basis_of_search,
     complaint_of,
     search_space,
 )
-from safety_harness.search.trials import Trials, in_kinematic
+from safety_harness.search.trials import InWorld, Trials
 from safety_harness.space.read import read_space
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.trace.provenance import provenance
@@ -60,6 +67,7 @@ def fuzz(
     seed: int = 0,
     searcher: str = "default",
     claims: tuple[str, ...] | list[str] = (),
+    world: WorldEntry | str | None = None,
     baseline: bool = False,
     explain: str = "causes",
     out: str | Path | None = None,
@@ -77,6 +85,7 @@ def fuzz(
         seed: The seed from which every random number derives.
         searcher: The name of a search method that ``searcher_named`` knows.
         claims: Sentences of claims that replace the space's claims.
+        world: The searched world, such as the user's simulator. None: the kinematic world.
         baseline: Whether to compare the search with uniform sampling of the space, which gets the same
             budget.
         explain: "causes": Explain one example of each cause; the explanations use at most as many runs as the
@@ -98,13 +107,17 @@ def fuzz(
     if baseline and make is UniformSampling:
         expected = "another searcher, to compare with uniform sampling"
         raise ScenarioError.of_option("--compare-with-uniform", expected, "--searcher uniform")
-    attribution = SearchAttribution()
+    read = space if isinstance(space, ScenarioSpace) else read_space(space)
+    searched = world_named(world, "world") if isinstance(world, str) else world or KINEMATIC
+    if searched is not KINEMATIC:
+        _refuse_unusable(searched, read)
+    attribution = SearchAttribution(searched)
     chosen = one_of(avoider, controller)
     reference = reference_for(chosen, against)
     session = search_space(
         Trials(
-            space if isinstance(space, ScenarioSpace) else read_space(space),
-            in_kinematic,
+            read,
+            InWorld(searched),
             seed=seed,
             avoider=chosen,
             sentences=tuple(claims),
@@ -128,6 +141,26 @@ def fuzz(
     if session.trials.times.summary:
         output.say(f"computing time: {session.trials.times.summary}")
     return SearchResult(session, evidence, session.interrupted)
+
+
+def _refuse_unusable(world: WorldEntry, space: ScenarioSpace) -> None:
+    """Open the simplest scenario of ``space`` in ``world``, which starts a user's simulator.
+
+    Raise InadmissibleError if the world cannot open a scenario that admission accepts.
+    """
+    world.opener()
+    try:
+        admitted = admit(space.simplest)
+    except InputError:
+        return
+    if not world.makes_images_of(admitted.scenario):
+        return
+    try:
+        with world.open(admitted.scenario, admitted.arm, admitted.joint_position_rad):
+            pass
+    except SimulationError as error:
+        expected = "a simulator that begins an episode"
+        raise InadmissibleError(place=Place(field="world"), expected=expected, got=str(error)) from error
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -169,7 +202,7 @@ class SearchResult:
         return DIFFERS if self.session.differs or not alike else AS_EXPECTED
 
     def __repr__(self) -> str:
-        basis = basis_of_search(self.findings, self.session.confirmed_in)
+        basis = basis_of_search(self.findings, self.session.searched, self.session.confirmed_in)
         return f"<{self.session.trials.space.name}: {self.session.summary}. {basis}>"
 
     def data(self) -> dict[str, object]:
@@ -280,10 +313,11 @@ def evidence_of(session: SearchSession, attribution: SearchAttribution | None = 
         agreement=measured_agreement(),
         system=trials.system,
         provenance=provenance(
-            ", repeated in ".join(world.name for world in (KINEMATIC, *session.references)),
+            ", repeated in ".join(world.name for world in (session.searched, *session.references)),
             tuple(library for world in session.references for library in world.libraries),
         ),
-        unconfirmable="" if session.references else NO_REFERENCE,
+        searched=session.searched,
+        unconfirmable=session.unconfirmable,
     )
 
 
@@ -297,6 +331,7 @@ def fuzz_command(session: SearchSession) -> str:
     command += [] if trials.avoider is None else [option_of(trials.avoider), told_avoider(trials.avoider)]
     command += [] if trials.reference is None else ["--against", trials.reference.name]
     command += [part for sentence in trials.sentences for part in ("--claim", sentence)]
+    command += [] if session.searched is KINEMATIC else ["--world", session.searched.label]
     command += ["--explain", "all"] if session.explains_all else []
     return shlex.join(command + ["--compare-with-uniform"] * (session.baseline is not None))
 
@@ -309,7 +344,9 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
     findings, baseline = evidence.findings, evidence.baseline
     return {
         "space": evidence.space,
-        "basis": basis_of_search(findings, evidence.confirmed_in if evidence.confirmed else ()),
+        "basis": basis_of_search(
+            findings, evidence.searched, evidence.confirmed_in if evidence.confirmed else ()
+        ),
         "avoider": None if isinstance(trials.avoider, Driver) else trials.avoider,
         "system": evidence.system.as_dict,
         "against": None if trials.against is None else _held(trials.against),

@@ -16,7 +16,7 @@ from safety_harness.admission.avoiders import replay_command
 from safety_harness.admission.repeatability import RepeatabilityResult
 from safety_harness.base.exceptions import described
 from safety_harness.base.proportions import share_words
-from safety_harness.cell.simulation.worlds import KINEMATIC, REFERENCE
+from safety_harness.cell.simulation.worlds import KINEMATIC, REFERENCE, WorldEntry
 from safety_harness.claims.properties.against import Against
 from safety_harness.claims.properties.base import Evaluation, Unit
 from safety_harness.report.axes import Axes, Picture, stairs
@@ -53,7 +53,7 @@ class SearchEvidence:
     budget, if the user requested it.  ``unconfirmed`` are the findings that a reference world does not show;
     ``confirmed`` counts those that all of ``confirmed_in`` show.  ``not_found`` are claims that the space
     expects to be violated, but that no counterexample violates.  ``unconfirmable`` states why nothing was
-    confirmed, if no reference was available.
+    confirmed, if no reference was available.  ``searched`` is the searched world.
     """
 
     title: str
@@ -82,6 +82,7 @@ class SearchEvidence:
     provenance: Provenance
     system: SystemUnderTest = NOT_NOTED
     unconfirmable: str = ""
+    searched: WorldEntry = KINEMATIC
     faults: FaultsOfSearch | None = None  # the causes of all violations
     attributed: Mapping[str, Attribution] = field(default_factory=dict)  # by the counterexample's file
     flips: tuple[str, ...] = ()  # differences without a clear result when drawn again
@@ -108,7 +109,9 @@ def render(evidence: SearchEvidence) -> str:
     replays = Replays()
     return render_page(
         "search.html.j2",
-        basis=basis_of_search(findings, evidence.confirmed_in if evidence.confirmed else ()),
+        basis=basis_of_search(
+            findings, evidence.searched, evidence.confirmed_in if evidence.confirmed else ()
+        ),
         style="search.css",
         scripts=("coverage.js",),
         replays=bool(evidence.shown),
@@ -151,7 +154,8 @@ def render(evidence: SearchEvidence) -> str:
         minus=with_minus,
         draws=DRAWS,
         most_open=MOST_OPEN,
-        searched=KINEMATIC,
+        searched=evidence.searched,
+        is_measured=evidence.searched is KINEMATIC,
         confirming=" and ".join(evidence.confirmed_in) or REFERENCE,
         measured=REFERENCE,
     )

@@ -59,7 +59,6 @@ from safety_harness.trace.trace import Trace
 
 FINDINGS, AS_FOUND = "findings.json", "as-found"
 AS_EXPECTED = " (as the space expects)"
-NO_REFERENCE = f"nothing is confirmed, as no reference ({REFERENCE}) is installed: this is {KINEMATIC} alone"
 MOST_SHRUNK = 3  # counterexamples of each claim, and of run errors
 SHRINKING_RUNS = 200  # for each counterexample
 AN_EXAMPLE = 40  # an example costs about as much as so many runs of the space
@@ -69,16 +68,23 @@ LEAST_DRAWN = 300  # pairs of runs anywhere in the space; with fewer, a share of
 _BATCH = 64  # runs that are simulated together
 
 
-def basis_of_search(findings: Findings, confirmed_in: Sequence[str]) -> str:
+def nothing_confirmed(world: WorldEntry) -> str:
+    """Return a sentence for a search in ``world`` that no reference can confirm."""
+    lacking = "other reference" if world.reference else f"reference ({REFERENCE})"
+    return f"nothing is confirmed, as no {lacking} is installed: this is {world} alone"
+
+
+def basis_of_search(findings: Findings, world: WorldEntry, confirmed_in: Sequence[str]) -> str:
     """Return a sentence on the worlds and the runs on which the findings of a search rest.
 
     Args:
         findings: The findings.
+        world: The searched world.
         confirmed_in: The worlds that confirm findings; empty if none is confirmed.
 
     """
     counts = [(int(runs), findings.tried) for runs in findings.evidence]
-    return basis([str(KINEMATIC), *confirmed_in], counts)
+    return basis([str(world), *confirmed_in], counts)
 
 
 def _counted(count: int, noun: str = "violation") -> str:
@@ -190,14 +196,25 @@ class SearchSession:
     admitter: Admitter = field(default_factory=Admitter)
 
     @property
+    def searched(self) -> WorldEntry:
+        """The searched world."""
+        world: WorldEntry = getattr(self.trials.world, "world", KINEMATIC)
+        return world
+
+    @property
+    def unconfirmable(self) -> str:
+        """Why no finding is confirmed; empty if a reference confirms them."""
+        return "" if self.references else nothing_confirmed(self.searched)
+
+    @property
     def confirming(self) -> ScenarioRunner:
-        """The runner of the first reference, in which findings shrink; without one, of the searched world."""
-        return InWorld(next(iter(self.references), KINEMATIC))
+        """The runner of the first reference, which confirms; without one, of the searched world."""
+        return InWorld(next(iter(self.references), self.searched))
 
     @property
     def _confirming_words(self) -> str:
         """The worlds in which findings are repeated; without a reference, the searched world."""
-        return " and ".join(map(str, self.references)) or str(KINEMATIC)
+        return " and ".join(map(str, self.references)) or str(self.searched)
 
     @property
     def confirmed_in(self) -> tuple[str, ...]:
@@ -306,13 +323,13 @@ class SearchSession:
         for line in remarks(self.trials, findings, self.worse):
             say(line)
         self.output.detail("coverage: " + str(self.trials.coverage).replace("\n", "\n  "))
-        whole_basis = basis_of_search(findings, self.confirmed_in)
+        whole_basis = basis_of_search(findings, self.searched, self.confirmed_in)
         say(short_basis(whole_basis))
         self.output.detail(whole_basis)
         for sentence in [] if findings.interrupted else self.not_found:
             self.output.result(f"NOT FOUND  {sentence}: {not_found_words(findings)}")
-        if self.written and not self.references:
-            say(NO_REFERENCE)
+        if self.written and self.unconfirmable:
+            say(self.unconfirmable)
         if self.confirmed:
             repeated = f"repeated in {self._confirming_words}: {_counted(self.confirmed, 'finding')}"
             say(f"{repeated}; physics had a part in {self.physical}")
@@ -327,7 +344,7 @@ class SearchSession:
             again = ["safety-harness", "run", *(str(written.path) for written in self.written)]
             reference = self.trials.reference
             again += [] if reference is None else ["--against", reference.name]
-            again += [] if self.references else ["--world", KINEMATIC.label]
+            again += [] if self.references else ["--world", self.searched.label]
             lines.append(f"next: {shlex.join(again)}    (they run as they say)")
         return lines + ([] if unwritable is None else [f"error: {explanation(unwritable)}"])
 
@@ -386,7 +403,7 @@ class SearchSession:
     def _origin(self, group: Group, searcher: str) -> list[str]:
         """Return lines on where ``group`` was found, after doubts about its avoider or confirmation."""
         doubt = [self.repeated.line] if self.repeated is not None and self.repeated.words else []
-        doubt += [] if self.references else [NO_REFERENCE]
+        doubt += [self.unconfirmable] if self.unconfirmable else []
         return [*doubt, *origin_of(self.trials, group.worst, searcher)]
 
     @property
@@ -409,7 +426,7 @@ class SearchSession:
         Unless ``explains_all``, a further violation becomes an example only if its cause is new.
         """
         examples = self.examples
-        each_s = cost_s(KINEMATIC, [self.trials.space.simplest])
+        each_s = cost_s(self.searched, [self.trials.space.simplest])
         if not self.explains_all:
             self.allowance.total_s = each_s * sum(search.tried for search in self._searches)
         an_example_s = AN_EXAMPLE * each_s
@@ -621,8 +638,7 @@ def search_space(
 ) -> SearchSession:
     """Search a space, then shrink, confirm, explain and write the findings.
 
-    Without a reference world, findings shrink in the kinematic world, and the output states that nothing
-    is confirmed.
+    Without a reference world other than the searched one, the output states that nothing is confirmed.
 
     Args:
         trials: The trials of the space.
@@ -644,16 +660,20 @@ def search_space(
         InadmissibleError: Admission refuses almost every point of the space.
 
     """
-    able = tuple(world for world in references() if world.makes_images_of(trials.space.simplest))
-    session = SearchSession(trials, out or Path(), budget, output, able, explain, explains_all, concluding)
+    session = SearchSession(trials, out or Path(), budget, output, (), explain, explains_all, concluding)
+    session.references = tuple(
+        world
+        for world in references()
+        if world.name != session.searched.name and world.makes_images_of(trials.space.simplest)
+    )
     session.keeps = out is not None
     session.admitter = admitter or session.admitter
     at = session.out
     files = [*at.glob("*.yaml"), *(at / AS_FOUND).rglob("*.yaml")] if (at / FINDINGS).exists() else []
     if session.keeps and files:
         output.say(f"{out} keeps the files of an earlier search, {files[0].name} among them")
-    if not session.references:
-        output.say(NO_REFERENCE)
+    if session.unconfirmable:
+        output.say(session.unconfirmable)
     session.findings = session.search(make, trials)
     if baseline and not session.findings.interrupted and session.unwritable is None:
         output.say("the baseline: uniform sampling with the same budget")

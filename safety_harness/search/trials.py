@@ -101,7 +101,7 @@ class InWorld:
         """Run all scenarios, in one batch if the world supports it."""
         runs: list[Trace | Exception] = []
         for scenario, run in zip(admitted, run_all(admitted, self.world), strict=True):
-            if isinstance(run, InadmissibleError) and self.world.model_only:
+            if isinstance(run, InadmissibleError) and not self.world.makes_images_of(scenario.scenario):
                 run = next(run_all([scenario], confirming_world()))
             if isinstance(run, Trace) and run.ended == INTERRUPTED:
                 raise KeyboardInterrupt

@@ -83,7 +83,7 @@ def test_where_nothing_is_violated_nothing_is_attributed(
 def test_an_interruption_before_any_answer_is_not_called_nothing_to_attribute(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupted(*_: object) -> None:
+    def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(attribution_job, "attribute_run", interrupted)

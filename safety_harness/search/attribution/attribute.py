@@ -165,17 +165,20 @@ class ReplaysInWorld:
         return runs
 
 
+KINEMATIC_REPLAYS = ReplaysInWorld()
+
+
 @renamed_parameters(spoilt="faulty")  # deprecated: the old name, for one release
 def attribute(
     admitted: Admitted,
     claims: Sequence[Claim] = (),
     *,
-    run: Runner = ReplaysInWorld(),
+    run: Runner = KINEMATIC_REPLAYS,
     faulty: Collection[Ingredient] = (),
 ) -> tuple[Attribution, ...]:
     """Return the cause of each violation in the ``admitted`` scenario.
 
-    A violation that the kinematic replay does not reproduce is not attributed.
+    A violation that the unchanged replay does not reproduce is not attributed.
 
     Args:
         admitted: The admitted scenario.
@@ -204,17 +207,23 @@ def attribute(
     for number, prop in enumerate(properties):
         judge, why = _ClaimTrials(trials, number, prop), ""
         if isinstance(first, Exception):
-            margin, why = None, f"the kinematic replay fails: {described(first)}"
+            margin, why = None, f"{_replay_words(run)} fails: {described(first)}"
         else:
             evaluation = judge.evaluation(first)
             margin = evaluation.margin
             if evaluation.verdict is Verdict.VIOLATED:
                 attributions.append(judge.attributed(margin, changes_for(faulty)))
                 continue
-            why = f"the kinematic replay does not reproduce it: {evaluation.verdict.value}"
+            why = f"{_replay_words(run)} does not reproduce it: {evaluation.verdict.value}"
         if seen[number]:
             attributions.append(judge.made(answer=AttributionAnswer.NOT_ATTRIBUTED, margin=margin, why=why))
     return _jointly(attributions)
+
+
+def _replay_words(run: Runner) -> str:
+    """Return the unchanged replay in words, with the world of its runner."""
+    world = getattr(run, "world", KINEMATIC)
+    return "the kinematic replay" if world is KINEMATIC else f"the replay in {world}"
 
 
 def confirmed(

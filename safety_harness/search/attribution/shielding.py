@@ -1,6 +1,6 @@
 """Find out whether the shield, or the rest of the system, kept the moving arm from touching hands.
 
-Three kinematic runs answer this: the unchanged run, one without the shield, and one with the shield alone.
+Three runs answer this: the unchanged run, one without the shield, and one with the shield alone.
 The run with the shield alone has no avoider.
 """
 
@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from safety_harness.admission.admit import Admitted
 from safety_harness.claims.properties.base import Evaluation
 from safety_harness.claims.properties.touching import NO_MOVING_PART_TOUCHES
-from safety_harness.search.attribution.attribute import Outcome, ReplaysInWorld
+from safety_harness.search.attribution.attribute import KINEMATIC_REPLAYS, Outcome, ReplaysInWorld
 from safety_harness.search.attribution.ingredients import Altered, setting
 from safety_harness.trace.trace import Trace
 
@@ -51,7 +51,9 @@ class ShieldAttribution:
         return f"the avoider was decisive: {alike}; the shield alone {only}: {self.alone.margin_text()}"
 
 
-def attribute_shield(admitted: Admitted) -> ShieldAttribution | None:
+def attribute_shield(
+    admitted: Admitted, replays: ReplaysInWorld = KINEMATIC_REPLAYS
+) -> ShieldAttribution | None:
     """Return the attribution of the ``admitted`` scenario; None if the scenario has no shield.
 
     If a run fails, its exception is raised.
@@ -62,7 +64,7 @@ def attribute_shield(admitted: Admitted) -> ShieldAttribution | None:
     systems = [system, replace(system, scenario=replace(system.scenario, shield=None))]
     if admitted.driver is None:
         systems.append(setting("avoidance", lambda _: {"critical_distance_m": 0.0})(system))
-    traces = ReplaysInWorld()(systems)
+    traces = replays(systems)
     for run in traces:
         if isinstance(run, Exception):
             raise run

@@ -20,7 +20,7 @@ from safety_harness.cli.fuzz import fuzz
 from safety_harness.cli.scenario_commands import run, validate
 from safety_harness.report import search_attribution
 from safety_harness.search import session as search_session
-from safety_harness.search.session import NO_REFERENCE
+from safety_harness.search.session import nothing_confirmed
 from safety_harness.testing.session import Session, begin
 from safety_harness.testing.simulating import Simulate
 from safety_harness.trace.provenance import provenance
@@ -103,14 +103,15 @@ def test_fuzz_works_and_says_everywhere_that_nothing_was_confirmed(
     out = tmp_path / "out"
     assert fuzz(tmp_path / "space.yaml", out=out, budget=12) == DIFFERS
     said = capsys.readouterr().err
-    assert NO_REFERENCE in said
+    reason = nothing_confirmed(KINEMATIC)
+    assert reason in said
     (found,) = out.glob("*.yaml")
     assert f"run {found} --world kinematic" in said
-    assert NO_REFERENCE in found.read_text()
+    assert reason in found.read_text()
     assert "world kinematic" in found.read_text()
     assert json.loads((out / "findings.json").read_text())["confirmed"] == 0
     page = (out / "fuzz.html").read_text()
-    assert NO_REFERENCE in page
+    assert reason in page
     assert "repeated in" not in page
     assert "below is confirmed" not in page
     assert run([found], tmp_path / "again", world="kinematic") == AS_EXPECTED
