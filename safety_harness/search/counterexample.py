@@ -377,9 +377,10 @@ def _shrunk(
     runs only the result, with a fresh instance. If that does not violate, shrinking starts again, and the
     confirming world tests each candidate that violates in ``sooner``.
     """
-    runs = count(1)
 
     def shrunk_while(*confirms: Confirm) -> Shrunk:
+        runs = count(1)
+
         def violates(simpler: Scenario) -> bool:
             on_step(f"shrinking, run {next(runs)} of at most {budget}")
             return all(shows(simpler) for shows in confirms)

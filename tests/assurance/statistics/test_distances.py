@@ -26,6 +26,10 @@ def test_the_least_of_59_is_what_95_in_a_hundred_keep() -> None:
     assert (too_few.rank, too_few.at_least) == (0, -math.inf)
 
 
+def test_what_was_seen_is_the_least_margin_that_this_content_of_the_runs_kept() -> None:
+    assert tolerance_bound(with_margins(np.arange(1.0, 121.0)), 0.9).seen == 13.0  # 12 of 120 are below
+
+
 @pytest.mark.parametrize("n", [59, 300, 3000])
 @pytest.mark.parametrize("content", [0.5, 0.9, 0.99])
 def test_the_rank_is_the_greatest_that_keeps_the_confidence(n: int, content: float) -> None:

@@ -15,6 +15,7 @@ from safety_harness.base.exceptions import InadmissibleError
 from safety_harness.base.settings import DEFAULTS, DecisionTimes, GateKind, Settings
 from safety_harness.cell.avoidance.measures import optimum_in_base_m
 from safety_harness.cell.avoidance.simple import OppositePose
+from safety_harness.claims.properties.base import Unit
 from safety_harness.scenario.faults import (
     AvoiderNaN,
     AvoiderSilent,
@@ -23,9 +24,9 @@ from safety_harness.scenario.faults import (
     Joint,
     JointStuck,
 )
-from safety_harness.scenario.model import NO_AVOIDER, Claim, MovingHand, Scenario, Verdict
+from safety_harness.scenario.model import NO_AVOIDER, Claim, MovingHand, RecordedHand, Scenario, Verdict
 from safety_harness.scenario.moves import FollowTcp, MoveTo, ReachForTcp, Wait, Withdraw
-from safety_harness.scenario.read import parse_scenario
+from safety_harness.scenario.read import parse_scenario, read_scenario
 from safety_harness.search.attribution.attribute import (
     Attribution,
     AttributionAnswer,
@@ -55,6 +56,7 @@ settings:
     preferred joint position: [0 deg, 40 deg, 0 deg, -95 deg, 0 deg, 45 deg, 0 deg]
 claims: {hand distance never below 50 mm: holds}
 """
+RECORDED = "shipped:recorded-giving"
 DISTANCE = "hand distance never below 50 mm"
 AWAY = "repulsion moves away from every hand"
 SLOW_HAND = hand(
@@ -224,6 +226,28 @@ def test_a_hand_half_as_fast_goes_the_same_way_for_twice_as_long() -> None:
         FollowTcp(speed_mps=0.2, distance_m=0.2, duration_s=3.0),
         Withdraw(speed_mps=0.3),
     )
+
+
+def test_a_recorded_hand_half_as_fast_takes_twice_as_long() -> None:
+    recorded = read_scenario(RECORDED)
+    hands = tuple(replace(one, speed_factor=0.8) for one in recorded.hands if isinstance(one, RecordedHand))
+    (change,) = (one for one in CHANGES if one.ingredient is Ingredient.HAND)
+    slower = change.on(Altered.from_admitted(admit(replace(recorded, hands=hands))))
+    assert slower is not None
+    for before, after in zip(hands, slower.scenario.hands, strict=True):
+        assert isinstance(after, RecordedHand)
+        assert after.speed_factor == 0.4
+        assert (after.motion.time_s == 2.0 * before.motion.time_s).all()
+
+
+def test_violations_without_a_cause_come_last_however_many_they_are() -> None:
+    claim = Claim(sentence=DISTANCE, expected=Verdict.HOLDS)
+    answers = [AttributionAnswer.NOT_ATTRIBUTED] * 3 + [AttributionAnswer.UNAVOIDABLE]
+    tally = AttributionTally.from_attributions(
+        Attribution(scenario="s", claim=claim, unit=Unit.LENGTH, answer=answer, margin=-0.1)
+        for answer in answers
+    )
+    assert list(tally.groups.items()) == [("unavoidable", 1), ("not attributed", 3)]
 
 
 def test_nothing_of_the_servo_is_tried_of_another_controller() -> None:
