@@ -338,7 +338,8 @@ def _flow(value: WrittenValue, used: int, kind: Value | None) -> str | None:
         inner = _flow(entry.value, 0, of_entry)
         if inner is None or any((*entry.above, entry.beside_key, entry.beside)):
             return None
-        parts.append(inner if entry.key is None else f"{_scalar(entry.key)}: {inner}".rstrip())
+        # The space stays before an empty value, because in {x:} the colon would belong to the key.
+        parts.append(inner if entry.key is None else f"{_scalar(entry.key)}: {inner}")
     text = f"[{', '.join(parts)}]" if value.kind == "list" else f"{{{', '.join(parts)}}}"
     return text if used + len(text) <= FLOW_WIDTH or not value.entries else None
 

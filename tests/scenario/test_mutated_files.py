@@ -256,6 +256,7 @@ def without_digest(said: object) -> object:
 @quick(100)
 @given(spoilt_bytes())
 @example(b"---\n")
+@example(b"a: [200 mm starts at: , 0 mm]\nb: {x: , y: 2}\n")
 def test_a_spoilt_text_that_is_a_tree_can_be_laid_out_and_means_the_same(data: bytes) -> None:
     try:
         text = decode(data, most=10**6, file=FILE, error=ScenarioError)
