@@ -107,13 +107,13 @@ def fuzz(
     if baseline and make is UniformSampling:
         expected = "another searcher, to compare with uniform sampling"
         raise ScenarioError.of_option("--compare-with-uniform", expected, "--searcher uniform")
+    chosen = one_of(avoider, controller)
+    reference = reference_for(chosen, against)
     read = space if isinstance(space, ScenarioSpace) else read_space(space)
     searched = world_named(world, "world") if isinstance(world, str) else world or KINEMATIC
     if searched is not KINEMATIC:
         _refuse_unusable(searched, read)
     attribution = SearchAttribution(searched)
-    chosen = one_of(avoider, controller)
-    reference = reference_for(chosen, against)
     session = search_space(
         Trials(
             read,
