@@ -391,18 +391,20 @@ def _shrunk(
         allowance.until_s = until_s
         return shrunk
 
+    interrupted = False
     try:
         quick = replace(confirm, world=allowance.metered(sooner), admit=admitter.admit)
         if confirm.complaint.kind or not quick(scenario):  # never two worlds for an avoider that hangs
             return shrunk_while(confirm)
         shrunk = shrunk_while(quick)
+        interrupted = shrunk.interrupted
         if shrunk.scenario == scenario or confirm(shrunk.scenario):
             return shrunk
-        if shrunk.interrupted:
+        if interrupted:
             return replace(shrunk, scenario=scenario, steps=())
         return shrunk_while(quick, confirm)
     except SpentError:
-        return Shrunk(scenario, (), 0, settled=False)
+        return Shrunk(scenario, (), 0, settled=False, interrupted=interrupted)
 
 
 def _affordable_explanation(

@@ -138,6 +138,27 @@ def test_no_explanation_no_shrinking_and_no_draw_costs_more_than_the_allowance(t
     assert allowance.spent_s <= total_s
 
 
+@pytest.mark.parametrize("total_s", [60.0, 1e6])
+def test_ctrl_c_while_shrinking_stays_known_although_nothing_is_left_for_a_confirmation(
+    total_s: float,
+) -> None:
+    allowance = Allowance(total_s, until_s=total_s)
+    tried = Counted()
+
+    def sooner(admitted: Sequence[Admitted]) -> Sequence[Trace | Exception]:
+        if tried.runs == 3:
+            allowance.spent_s = max(allowance.spent_s, allowance.total_s - 1.0)
+            raise KeyboardInterrupt
+        return tried(admitted)
+
+    case = counterexample_of(
+        FOUND, Complaint(CLAIM), in_kinematic, budget=200, sooner=sooner, allowance=allowance
+    )
+    assert case is not None
+    assert case.shrunk.interrupted
+    assert case.shrunk.scenario == FOUND  # what no run confirmed is not kept
+
+
 def test_contact_as_found_is_told_although_shrinking_leaves_none(alone: tuple[Counterexample, int]) -> None:
     """``fast-reach`` has a hand 76 mm inside the arm; what it shrinks to only has to violate 50 mm."""
     (found,) = in_kinematic([admit(FOUND)])
