@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from xml.etree.ElementTree import Element, SubElement, tostring
@@ -20,28 +20,13 @@ from safety_harness.search.attribution.attribute import (
     attribute,
     confirmed,
 )
-from safety_harness.search.attribution.ingredients import Altered
 from safety_harness.search.attribution.tally import AttributionTally, group_words
 from safety_harness.search.counterexample import Allowance, Explanation
 from safety_harness.search.findings import Group
 from safety_harness.search.session import SearchSession, WrittenCounterexample
 from safety_harness.search.shrink import SpentError
-from safety_harness.trace.trace import Trace
 
 MOST_ATTRIBUTED = 100  # groups of violations that are attributed for one search
-
-
-@dataclass(frozen=True)
-class _ReplaysWithin:
-    """A Runner in ``world`` that raises SpentError before the ``allowance`` is spent."""
-
-    allowance: Allowance
-    world: WorldEntry = KINEMATIC
-
-    def __call__(self, systems: Sequence[Altered]) -> list[Trace | Exception]:
-        """Run all ``systems``."""
-        self.allowance.spend(self.world, [system.scenario for system in systems])
-        return ReplaysInWorld(self.world)(systems)
 
 
 def confirming_line(replay: Replay, attribution: Attribution) -> str:
@@ -109,13 +94,13 @@ class SearchAttribution:
         allowance = allowance or Allowance()
         try:
             admitted = self.admitter.admit(scenario)
-            (attribution,) = attribute(admitted, (claim,), run=_ReplaysWithin(allowance, self.world))
+            replays = allowance.metered(ReplaysInWorld(self.world))
+            (attribution,) = attribute(admitted, (claim,), run=replays)
             there: tuple[Replay, ...] = ()
             if confirms and attribution.answer is AttributionAnswer.ATTRIBUTED and any(references()):
+                replays = allowance.metered(ReplaysInWorld(confirming_world()))
                 with suppress(SpentError):
-                    there = confirmed(
-                        admitted, attribution, run=_ReplaysWithin(allowance, confirming_world())
-                    )
+                    there = confirmed(admitted, attribution, run=replays)
         except SpentError:
             raise
         except Exception as error:  # a failing explanation must not lose the finding

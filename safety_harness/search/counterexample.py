@@ -19,7 +19,7 @@ import numpy as np
 
 from safety_harness.admission.admit import Admitted, Admitter
 from safety_harness.admission.avoiders import folder_of
-from safety_harness.cell.simulation.worlds import KINEMATIC, REFERENCE, WorldEntry
+from safety_harness.cell.simulation.worlds import REFERENCE, WorldEntry
 from safety_harness.claims.properties.base import Evaluation
 from safety_harness.claims.properties.hand_distance import nearest_hand
 from safety_harness.scenario.model import Claim, Scenario, Verdict
@@ -28,7 +28,7 @@ from safety_harness.search.confirm import Complaint, Confirm, in_one_world
 from safety_harness.search.coverage import cell_of
 from safety_harness.search.findings import TriedPoint
 from safety_harness.search.shrink import Shrunk, SpentError, shrink
-from safety_harness.search.trials import ScenarioRunner, Trials
+from safety_harness.search.trials import ScenarioRunner, Trials, world_of
 from safety_harness.space.regions import SeenRegions, seen_by
 from safety_harness.trace.records import Check, DecisionOutcome
 from safety_harness.trace.trace import Trace
@@ -89,13 +89,25 @@ class Allowance:
 
     def metered(self, runner: ScenarioRunner) -> ScenarioRunner:
         """Return ``runner`` that adds the cost of its runs, and raises SpentError before a cost too high."""
-        world: WorldEntry = getattr(runner, "world", KINEMATIC)
+        return _Metered(runner, self)
 
-        def run(admitted: Sequence[Admitted]) -> Sequence[Trace | Exception]:
-            self.spend(world, [run.scenario for run in admitted])
-            return runner(admitted)
 
-        return run
+@dataclass(frozen=True, eq=False)
+class _Metered:
+    """A ScenarioRunner whose runs an allowance pays."""
+
+    runner: ScenarioRunner
+    allowance: Allowance
+
+    @property
+    def world(self) -> WorldEntry:
+        """The world of the runs."""
+        return world_of(self.runner)
+
+    def __call__(self, admitted: Sequence[Admitted]) -> Sequence[Trace | Exception]:
+        """Return one run for each scenario, in their order."""
+        self.allowance.spend(self.world, [run.scenario for run in admitted])
+        return self.runner(admitted)
 
 
 class Explain(Protocol):

@@ -53,7 +53,7 @@ from safety_harness.search.sampling import UniformSampling
 from safety_harness.search.search import find_violations
 from safety_harness.search.searchers import MakesSearcher
 from safety_harness.search.shrink import SpentError
-from safety_harness.search.trials import InWorld, ScenarioRunner, Trials
+from safety_harness.search.trials import InWorld, ScenarioRunner, Trials, world_of
 from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
 
@@ -198,8 +198,7 @@ class SearchSession:
     @property
     def searched(self) -> WorldEntry:
         """The searched world."""
-        world: WorldEntry = getattr(self.trials.world, "world", KINEMATIC)
-        return world
+        return world_of(self.trials.world)
 
     @property
     def unconfirmable(self) -> str:
@@ -495,9 +494,8 @@ class SearchSession:
 
     def _with_physics(self, case: Counterexample) -> Counterexample:
         """Count a confirmed case, and return it with a line that says whether physics had a part in it."""
-        (model,) = run_all(
-            [self.admitter.admit_afresh(case.shrunk.scenario)], KINEMATIC
-        )  # which refuses rendered images
+        admitted = self.admitter.admit_afresh(case.shrunk.scenario)
+        (model,) = run_all([admitted], KINEMATIC)  # which refuses rendered images
         had_part, sentence = physics_of(case.run, model)
         self.confirmed, self.physical = self.confirmed + 1, self.physical + had_part
         line = f"repeated in {self._confirming_words}; {sentence}"
@@ -660,12 +658,9 @@ def search_space(
         InadmissibleError: Admission refuses almost every point of the space.
 
     """
-    session = SearchSession(trials, out or Path(), budget, output, (), explain, explains_all, concluding)
-    session.references = tuple(
-        world
-        for world in references()
-        if world.name != session.searched.name and world.makes_images_of(trials.space.simplest)
-    )
+    candidates = (world for world in references() if world.name != world_of(trials.world).name)
+    able = tuple(world for world in candidates if world.makes_images_of(trials.space.simplest))
+    session = SearchSession(trials, out or Path(), budget, output, able, explain, explains_all, concluding)
     session.keeps = out is not None
     session.admitter = admitter or session.admitter
     at = session.out

@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 
 from safety_harness.base.exceptions import InputError
 from safety_harness.base.settings import DEFAULTS
+from safety_harness.scenario.codec import Tree
 from safety_harness.scenario.model import (
     REACHING_MPS2,
     MovingHand,
@@ -25,7 +26,7 @@ from safety_harness.scenario.model import (
 )
 from safety_harness.scenario.moves import REACHING_MPS, ReachForObject, ReachForTcp
 from safety_harness.scenario.read import scenario_of
-from safety_harness.scenario.write import node_of, tree_of, write_scenario
+from safety_harness.scenario.write import node_of, text_of, tree_of, write_scenario
 from safety_harness.space.tracing import Path, leaves, path_text, value_at, with_value
 
 FINER = 3  # levels of round numbers, each ten times finer; a finer number stays unchanged
@@ -331,10 +332,11 @@ class _Shrinking:
         """Replace the scenario by ``candidate``, as read back from its file, if it violates."""
         if candidate == self.scenario:
             return False
-        text = write_scenario(candidate)
+        tree = tree_of(candidate)
+        text = text_of(tree)
         if text == write_scenario(self.scenario):  # a file omits the stop times of a user's arm
             return False
-        read = _read_back(text, candidate) if self._known.get(text, True) else None
+        read = _read_back(tree, text, candidate) if self._known.get(text, True) else None
         if text not in self._known:
             self._known[text] = read is not None and self._run(read)
         if read is not None and self._known[text]:
@@ -350,14 +352,14 @@ class _Shrinking:
         return self.violates(candidate)
 
 
-def _read_back(text: str, scenario: Scenario) -> Scenario | None:
-    """Return the scenario of a file with ``text``, the text of ``scenario``; None if that is no valid file.
+def _read_back(tree: Tree, text: str, scenario: Scenario) -> Scenario | None:
+    """Return the scenario of a file with ``text``; None if that is no valid file.
 
-    The reader gets the tree of the text, as parsing the text would take longer than the run. Recorded motions
-    are read again from their own files.
+    The reader gets the ``tree`` of ``scenario`` and the text, as parsing the text would take longer than the
+    run. Recorded motions are read again from their own files.
     """
     try:
-        read = scenario_of(node_of(tree_of(scenario)), scenario.file, name=scenario.name)
+        read = scenario_of(node_of(tree), scenario.file, name=scenario.name)
     except InputError:
         return None
     return read if write_scenario(read) == text else None

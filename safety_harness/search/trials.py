@@ -111,6 +111,14 @@ class InWorld:
 
 in_pybullet = InWorld(PYBULLET)
 """The runner of the first reference world."""
+
+
+def world_of(runner: object) -> WorldEntry:
+    """Return the world of a runner, the kinematic one if the runner names none."""
+    world: WorldEntry = getattr(runner, "world", KINEMATIC)
+    return world
+
+
 in_kinematic = InWorld(KINEMATIC)
 """The runner of the kinematic world."""
 

@@ -27,6 +27,7 @@ from safety_harness.claims.properties.base import Evaluation, Property, Unit
 from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.search.attribution.ingredients import Altered, Change, Ingredient, changes_for
 from safety_harness.search.attribution.unavoidable import why_unavoidable
+from safety_harness.search.trials import world_of
 from safety_harness.trace.trace import Trace
 
 ABOUT_PROPOSALS = "propos"  # marks a claim about proposals: its sentence has "proposals" or "proposed"
@@ -143,7 +144,7 @@ class Attribution:
 class Runner(Protocol):
     """A function that runs altered systems; an Exception stands for a run that could not be finished."""
 
-    def __call__(self, systems: Sequence[Altered]) -> Sequence[Trace | Exception]:
+    def __call__(self, systems: Sequence[Altered], /) -> Sequence[Trace | Exception]:
         """Return one run for each system, in their order.
 
         A runner may spoil an ingredient by a fault outside the scenario. It leaves the ingredient sound if
@@ -157,9 +158,9 @@ class ReplaysInWorld:
 
     world: WorldEntry = KINEMATIC
 
-    def __call__(self, systems: Sequence[Altered]) -> list[Trace | Exception]:
-        """Run all ``systems``, in one batch if the world supports it."""
-        runs = list(run_all(systems, self.world))
+    def __call__(self, admitted: Sequence[Admitted]) -> list[Trace | Exception]:
+        """Run all systems, in one batch if the world supports it."""
+        runs = list(run_all(admitted, self.world))
         if any(isinstance(run, Trace) and run.ended == INTERRUPTED for run in runs):
             raise KeyboardInterrupt
         return runs
@@ -222,7 +223,7 @@ def attribute(
 
 def _replay_words(run: Runner) -> str:
     """Return the unchanged replay in words, with the world of its runner."""
-    world = getattr(run, "world", KINEMATIC)
+    world = world_of(run)
     return "the kinematic replay" if world is KINEMATIC else f"the replay in {world}"
 
 
