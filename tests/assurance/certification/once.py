@@ -38,8 +38,10 @@ def replayed_once() -> Iterator[None]:
     def attributed(admitted: Admitted, claims: Sequence[Claim]) -> Any:
         return _once(_ATTRIBUTE, admitted.scenario, tuple(claims), admitted, claims)
 
-    def explained(self: SearchAttribution, scenario: Scenario, claim: Claim) -> Any:
-        return _once(_EXPLAIN, scenario, claim, self, scenario, claim)
+    def explained(
+        self: SearchAttribution, scenario: Scenario, claim: Claim, _: Any = None, *, confirms: bool = True
+    ) -> Any:  # without the allowance, or an answer would depend on the tests before
+        return _once(_EXPLAIN, scenario, (claim, confirms), self, scenario, claim, confirms=confirms)
 
     def tried(admitted: Admitted, *, world: WorldEntry) -> Any:
         return _once(_TRIAL, admitted.scenario, world.label, admitted, world=world)
