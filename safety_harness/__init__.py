@@ -63,8 +63,10 @@ if TYPE_CHECKING:
     from safety_harness.scenario.read import parse_scenario as parse_scenario
     from safety_harness.scenario.read import read_scenario as read_scenario
     from safety_harness.scenario.write import write_scenario as write_scenario
+    from safety_harness.seams.contract import HandSet as HandSet
     from safety_harness.seams.contract import Move as Move
     from safety_harness.seams.contract import Moves as Moves
+    from safety_harness.seams.contract import Predicted as Predicted
     from safety_harness.seams.contract import Report as Report
     from safety_harness.seams.contract import Seen as Seen
     from safety_harness.seams.contract import Stop as Stop
@@ -107,7 +109,16 @@ _HOMES = {
     "admission.spaces": ("AdmittedDraws", "draw_admissible"),
     "admission.trial": ("judge", "run_kinematic", "run_many", "run_trial"),
     "cell.avoidance.avoider": ("Avoider", "AvoiderAround", "Proposal"),
-    "seams.contract": ("Move", "Moves", "Report", "Seen", "Stop", "UserController"),
+    "seams.contract": (
+        "HandSet",
+        "Move",
+        "Moves",
+        "Predicted",
+        "Report",
+        "Seen",
+        "Stop",
+        "UserController",
+    ),
     "base.exceptions": ("InputError", "SafetyHarnessError"),
     "base.output": ("Output",),
     "claims.formulas.claim": ("FormulaClaim",),

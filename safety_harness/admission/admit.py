@@ -33,6 +33,7 @@ from safety_harness.admission.driving import (
     refuse_no_images,
     refuse_unusable_driver,
     refuse_unusable_filter,
+    refuse_unusable_predictor,
 )
 from safety_harness.admission.hands import check_hands
 from safety_harness.admission.poses import (
@@ -56,6 +57,7 @@ from safety_harness.cell.controller.controller import AvoidingServo
 from safety_harness.cell.controller.decision_times import decision_times_s, recorded_late, recorded_times_s
 from safety_harness.cell.controller.driven import DrivenController
 from safety_harness.cell.controller.filtered import FilterCalls, FilteredController
+from safety_harness.cell.controller.predicting import PredictorCalls
 from safety_harness.cell.controller.shield import Guard, guard_of
 from safety_harness.cell.robot.description import ArmModel
 from safety_harness.cell.robot.robots import (
@@ -104,6 +106,7 @@ class Admitted(Checked):
         avoider_sha256: The hash of the avoider's file; empty without a file.
         driver: The user's controller.  None: the visual servo drives the arm.
         safety_filter: The user's filter of commands, if any.
+        predictor: The scenario's predictor of hands, if any.
 
     """
 
@@ -111,6 +114,7 @@ class Admitted(Checked):
     avoider_sha256: str  # of the file that the avoider comes from; empty for one without
     driver: MadeDriver | None = None  # None: the visual servo
     safety_filter: MadeDriver | None = None
+    predictor: MadeDriver | None = None
 
     def controller(
         self, recorded: Trace | None = None
@@ -213,6 +217,21 @@ class Admitted(Checked):
             times_s,
             scenario.hand_slots,
             self.guard(),
+            None if self.predictor is None else self._predicting(self.predictor.controller),
+        )
+
+    def _predicting(self, predictor: UserController) -> PredictorCalls:
+        """Return the calls of ``predictor``, prepared for one run."""
+        scenario = self.scenario
+        return PredictorCalls(
+            predictor,
+            scenario.settings,
+            self.arm,
+            self.view,
+            self.joint_position_rad,
+            seed(scenario.seed, Branch.PREDICTOR),
+            scenario.hand_slots,
+            scenario.ticks + 1,
         )
 
     def guard(self) -> Guard:
@@ -240,9 +259,11 @@ class Admitter:
         """Resolve a scenario's references and check that it can run; InadmissibleError if it cannot."""
         checked = check(scenario)
         admitted = self._admitted(checked)
-        if not scenario.safety_filter:
-            return admitted
-        return _with_filter(admitted, self._drivers.filter_for(scenario))
+        if scenario.predictor:
+            admitted = replace(admitted, predictor=self._drivers.predictor_for(scenario))
+        if scenario.safety_filter:
+            admitted = _with_filter(admitted, self._drivers.filter_for(scenario))
+        return admitted
 
     def admit_afresh(self, scenario: Scenario) -> Admitted:
         """Do as ``admit``, but start the user's programs anew, without memory of earlier runs.
@@ -254,7 +275,7 @@ class Admitter:
         return self.admit(scenario)
 
     def _admitted(self, checked: Checked) -> Admitted:
-        """Return the checked scenario with its avoider or controller, but without its safety filter."""
+        """Return the checked scenario with its avoider or controller, but without the parts beside it."""
         scenario = checked.scenario
         if scenario.driven:
             return _driven(checked, self._drivers.driver_for(scenario))
@@ -324,6 +345,7 @@ class Checker:
             with _placed(scenario):
                 (refuse_unusable_driver if scenario.driven else refuse_unusable)(scenario)
                 refuse_unusable_filter(scenario)
+                refuse_unusable_predictor(scenario)
             self._seen.add(key)
 
 
@@ -334,6 +356,8 @@ def refuse_no_answer(scenario: Scenario) -> None:
     """
     if scenario.safety_filter:
         Drivers().filter_for(scenario)
+    if scenario.predictor:
+        Drivers().predictor_for(scenario)
     if scenario.driven:
         Drivers().driver_for(scenario)
         return

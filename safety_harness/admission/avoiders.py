@@ -11,7 +11,7 @@ import hashlib
 import os
 import shlex
 from collections import ChainMap
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -54,7 +54,8 @@ if TYPE_CHECKING:
 
 OPPOSITE, NEAREST = "opposite pose", "nearest candidate"
 NAMES = (*SHIPPED, OPPOSITE, NEAREST)
-SAFETY_FILTER = "--safety-filter"  # the option that names the filter of a trace
+# The options that name the parts of a trace beside its avoider or controller, by field of the scenario.
+BESIDE = {"safety_filter": "--safety-filter", "predictor": "--predictor"}
 FORMS = f"one of: {', '.join(NAMES)}; FILE.py:NAME; FILE{MODEL_SUFFIX}; FILE{ONNX_SUFFIX}"
 
 
@@ -233,8 +234,9 @@ def replay_command(
     parts = ["safety-harness", verb, *(str(shown_path(file)) for file in (trace, *more_traces))]
     if is_a_program(scenario.under_test):
         parts += [option_of(scenario.under_test), _named_here(command_line_reference(scenario))]
-    if scenario.safety_filter:
-        parts += [SAFETY_FILTER, _named_here(_from_here(scenario, scenario.safety_filter))]
+    for name, option in BESIDE.items():
+        if is_a_program(reference := getattr(scenario, name)):
+            parts += [option, _named_here(_from_here(scenario, reference))]
     return shlex.join(parts)
 
 
@@ -248,7 +250,7 @@ def with_program(
     tested: str | None,
     file: Path | None = None,
     verb: str = "replay",
-    safety_filter: str | None = None,
+    beside: Mapping[str, str | None] | None = None,
 ) -> Scenario:
     """Return the scenario of a trace with the avoider or controller that the user gave.
 
@@ -259,25 +261,28 @@ def with_program(
         tested: The user's reference; None: the trace's own.
         file: The file of the trace, for the error.
         verb: The command that repeats the run, for the hint.
-        safety_filter: The user's reference of the safety filter; None: the trace's own.
+        beside: The user's references of the parts in ``BESIDE``; None: the trace's own.
 
     Raises:
         TraceError: A program of the trace is not named by the user.
 
     """
-    if safety_filter is not None:
-        if not scenario.safety_filter:
-            expected = "a trace with a safety filter"
-            raise TraceError(place=Place(file=file, field=SAFETY_FILTER), expected=expected, got="none")
-        scenario = with_filter(scenario, safety_filter)
-    unnamed = scenario.safety_filter if safety_filter is None else ""
+    unnamed: dict[str, str] = {}  # by option
     if tested is not None:
         scenario = with_avoider(scenario, tested)
     elif is_a_program(scenario.under_test):
-        unnamed = scenario.under_test
-    if unnamed:
-        option = SAFETY_FILTER if unnamed == scenario.safety_filter else option_of(unnamed)
-        got = f"a trace made with {unnamed}"
+        unnamed[option_of(scenario.under_test)] = scenario.under_test
+    for name, option in BESIDE.items():
+        own, again = getattr(scenario, name), (beside or {}).get(name)
+        if again is not None:
+            if not own:
+                expected = f"a trace with a {name.replace('_', ' ')}"
+                raise TraceError(place=Place(file=file, field=option), expected=expected, got="none")
+            scenario = with_part(scenario, name, again)
+        elif is_a_program(own):
+            unnamed[option] = own
+    for option, program in unnamed.items():
+        got = f"a trace made with {program}"
         place = Place(file=file, field=option.removeprefix("--"))
         expected = f"the program named with {option}, since repeating the run executes it"
         hint = "" if file is None else replay_command(scenario, file, verb=verb)
@@ -332,7 +337,7 @@ def is_executed(reference: str) -> bool:
 
 
 def executes(scenario: Scenario) -> bool:
-    """Return whether a run of the scenario executes a user's file as its system or its safety filter."""
+    """Return whether a run of the scenario executes a user's file as its system or a part beside it."""
     return any(map(is_executed, scenario.parts_under_test))
 
 
@@ -431,19 +436,21 @@ def as_seen_from(folder: Path, scenario: Scenario) -> Scenario:
     old_folder = scenario.file.parent if scenario.file else Path()
     moved = scenario.with_files(lambda path: named_from(folder, old_folder / path))
     moved = replace(moved, file=folder / "scenario.yaml")
-    if scenario.safety_filter:
-        moved = with_filter(moved, _from_here(scenario, scenario.safety_filter))
+    for name in BESIDE:
+        if is_a_program(reference := getattr(scenario, name)):
+            moved = with_part(moved, name, _from_here(scenario, reference))
     has_file = bool(file_and_name(scenario.under_test)[0])
     return with_avoider(moved, command_line_reference(scenario)) if has_file else moved
 
 
-def with_filter(scenario: Scenario, reference: str) -> Scenario:
-    """Return the scenario with the safety filter ``reference``; a relative file is in the working directory.
+def with_part(scenario: Scenario, field: str, reference: str) -> Scenario:
+    """Return the scenario with ``reference`` as its part ``field`` of ``BESIDE``.
 
-    InadmissibleError if the reference cannot be written into a scenario file.
+    A relative file is in the working directory. InadmissibleError if the reference cannot be written into a
+    scenario file.
     """
-    place = Place(field=SAFETY_FILTER)
-    return replace(scenario, **_placed(scenario, "safety_filter", "a safety filter", reference, place))
+    noun, place = f"a {field.replace('_', ' ')}", Place(field=BESIDE[field])
+    return replace(scenario, **_placed(scenario, field, noun, reference, place))
 
 
 def with_system_of(like: Scenario, scenario: Scenario) -> Scenario:

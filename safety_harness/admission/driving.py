@@ -18,6 +18,7 @@ from safety_harness.cell.controller.named import (
     controller_sha256,
     refuse_unusable_controller,
 )
+from safety_harness.cell.controller.predicting import KALMAN_FILTER, KalmanFilter
 from safety_harness.cell.controller.python_file import checked_controller
 from safety_harness.cell.robot.robots import urdf_sha256_of
 from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN, AvoiderSilent
@@ -123,6 +124,22 @@ class Drivers:
             raise InadmissibleError(place=place, expected=expected, got=got or "nothing", hint=hint)
         return made
 
+    def predictor_for(self, scenario: Scenario) -> MadeDriver:
+        """Return the scenario's predictor; InadmissibleError at its key if it does not exist."""
+        place, folder = scenario.place("predictor"), folder_of(scenario)
+        refuse_unusable_predictor(scenario)
+        if scenario.predictor == KALMAN_FILTER:
+            return kalman_filter()
+        key = scenario.predictor, folder
+        made = self._made.get(key) or self._made_of(key, place)
+        if {IMAGE, WANTED} & {*sees_of(made.controller)}:
+            expected, got = (
+                "a predictor, which sees no image and no wanted command",
+                ", ".join(made.controller.sees),
+            )
+            raise InadmissibleError(place=place, expected=expected, got=got)
+        return made
+
     def forget_programs(self) -> None:
         """Forget the controllers and filters that may remember earlier runs."""
         self._made = {key: made for key, made in self._made.items() if names_onnx(key[0])}
@@ -132,6 +149,11 @@ class Drivers:
         make = controller_of(*key, place)
         self._made[key] = MadeDriver(make(), make, controller_sha256(*key))
         return self._made[key]
+
+
+def kalman_filter() -> MadeDriver:
+    """Return the predictor that ships."""
+    return MadeDriver(KalmanFilter(), KalmanFilter)
 
 
 def driver_of(controller: object) -> MadeDriver:
@@ -164,6 +186,23 @@ def refuse_unusable_filter(scenario: Scenario) -> None:
     refuse_unusable_controller(reference, folder_of(scenario), place)
 
 
+def refuse_unusable_predictor(scenario: Scenario) -> None:
+    """Raise those errors of a predictor that can be found without executing user code."""
+    reference, place = scenario.predictor, scenario.place("predictor")
+    if not reference:
+        return
+    if scenario.driven:
+        expected = "no predictor beside a controller, which does its own prediction"
+        raise InadmissibleError(place=place, expected=expected, got=f"controller {scenario.controller}")
+    if reference == KALMAN_FILTER:
+        return
+    if not (names_a_program(reference) or file_and_name(reference)[0].endswith(".py")):
+        expected = f"a predictor: {KALMAN_FILTER}, FILE.py:NAME, exec:COMMAND, tcp:HOST:PORT or unix:PATH"
+        hint = f"name the class in it as well: {reference}:NAME" if reference.endswith(".py") else ""
+        raise InadmissibleError(place=place, expected=expected, got=repr(reference), hint=hint)
+    refuse_unusable_controller(reference, folder_of(scenario), place)
+
+
 def named_system(scenario: Scenario) -> SystemUnderTest:
     """Return the system under test as the scenario's references name it; no avoider or controller is made.
 
@@ -178,6 +217,9 @@ def named_system(scenario: Scenario) -> SystemUnderTest:
     if reference := scenario.safety_filter:
         sha256 = controller_sha256(reference, folder_of(scenario))
         own["safety_filter"] = Component(name=_called(reference), sha256=sha256)
+    if reference := scenario.predictor:
+        sha256 = "" if reference == KALMAN_FILTER else controller_sha256(reference, folder_of(scenario))
+        own["predictor"] = Component(name=_called(reference), sha256=sha256)
     return system_of(scenario, robot_sha256=urdf_sha256_of(scenario.robot), **own)
 
 

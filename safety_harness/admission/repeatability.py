@@ -143,15 +143,15 @@ def driven_in(trace: Trace) -> DrivenRun | None:
     None means that the run broke off, or that its questions can be repeated instead.
     """
     scenario = trace.scenario
-    programs = scenario.driven or is_a_program(scenario.avoider) or scenario.safety_filter
+    programs = scenario.driven or is_a_program(scenario.avoider) or scenario.has_parts_beside
     if not programs or not trace.complete:
         return None
     commands = trace.ticks["demanded_joint_velocity_radps"].tobytes()
     commands += trace.decisions["proposed_position_in_base_m"].tobytes()
     digest = hashlib.sha256(commands + trace.ticks["joint_position_rad"].tobytes()).hexdigest()
-    filters = trace.system.safety_filter
-    sha256 = trace.system.tested.sha256 + ("" if filters is None else filters.sha256)
-    asks = not (scenario.driven or scenario.safety_filter)
+    beside = (trace.system.safety_filter, trace.system.predictor)
+    sha256 = trace.system.tested.sha256 + "".join(part.sha256 for part in beside if part is not None)
+    asks = not (scenario.driven or scenario.has_parts_beside)
     return DrivenRun(scenario.name, trace.provenance.world, digest, sha256, asks)
 
 
@@ -227,7 +227,8 @@ class Repeatability:
                 break
             try:
                 chosen = scenario()
-                who = f"{result.who} or its safety filter" if chosen.safety_filter else result.who
+                beside = {"safety filter": chosen.safety_filter, "predictor": chosen.predictor}
+                who = " or its ".join([result.who, *(name for name, part in beside.items() if part)])
                 otherwise = _driven_otherwise(run, chosen, who)
             except (InputError, SimulationError) as error:
                 problem = f"the {result.who} could not drive again: {printable(str(error))}"

@@ -156,7 +156,8 @@ def _runs(
         driver = admitted.driver
         # These run one after another: a driver remembers their order, and a batch stores no view.
         alone = shown_to(admitted.avoider) if driver is None else not (driver.many and world is KINEMATIC)
-        alone = alone or admitted.safety_filter is not None or admitted.answers_later
+        beside = admitted.scenario.has_parts_beside
+        alone = alone or beside or admitted.answers_later
         if driver is None and not alone:
             refuse_wall_clock(admitted.scenario, InadmissibleError, runs="these runs")
         full = ticks + admitted.scenario.ticks + 1 > ticks_at_once or (driver and len(chunk) == MOST_LANES)
@@ -164,7 +165,7 @@ def _runs(
             yield from _run_chunk(chunk, world)
             chunk, ticks = [], 0
         if alone:
-            own = driver is None and admitted.safety_filter is None  # whose errors stop all runs
+            own = driver is None and not beside  # whose errors stop all runs
             yield run_trial(admitted, world=world) if own else _attempt(admitted, world)
             continue
         chunk, chunk_driver = [*chunk, admitted], driver
@@ -175,7 +176,7 @@ def _runs(
 def _attempt(admitted: Admitted, world: WorldEntry) -> Trace | Exception:
     """Return the trace of one run, or its exception."""
     try:
-        together = world.batch and admitted.driver is None and admitted.safety_filter is None
+        together = world.batch and admitted.driver is None and not admitted.scenario.has_parts_beside
         return next(run_many([admitted], world=world)) if together else run_trial(admitted, world=world)
     except InstallationError:
         raise
@@ -259,7 +260,8 @@ def _drive_chunk(chunk: list[Admitted]) -> Iterator[Trace | Exception]:
 
 
 def _of_avoider(trace: Trace, admitted: Admitted) -> Trace:
-    """Return the trace with the hashes of the files of its avoider or controller, and of its filter."""
+    """Return the trace with the hashes of the files of the user's parts."""
     sha256 = admitted.avoider_sha256 if admitted.driver is None else admitted.driver.sha256
-    of_filter = "" if admitted.safety_filter is None else admitted.safety_filter.sha256
-    return replace(trace, system=trace.system.of_file(sha256).of_filter(of_filter))
+    parts = {"safety_filter": admitted.safety_filter, "predictor": admitted.predictor}
+    hashes = {name: part.sha256 for name, part in parts.items() if part is not None}
+    return replace(trace, system=trace.system.of_file(sha256).with_hashes(**hashes))

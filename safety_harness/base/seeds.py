@@ -28,6 +28,8 @@ class Branch(IntEnum):
     ENVIRONMENT = 12
     PROOF = 13
     SAFETY_FILTER = 14
+    PREDICTOR = 15
+    PREDICTED_INSTANT = 16
 
 
 def generator(root: int, branch: Branch, *path: int) -> np.random.Generator:

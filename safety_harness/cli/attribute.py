@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from safety_harness.admission.avoiders import SAFETY_FILTER, option_of
+from safety_harness.admission.avoiders import BESIDE, option_of
 from safety_harness.base.input_errors import InputErrors
 from safety_harness.cell.simulation.worlds import confirming_world, references, world_named
 from safety_harness.cli.console import BAD_INPUT, document, next_step, result, say
@@ -19,8 +19,8 @@ def attribute_runs(
     avoider: str | None,
     out: Path | None,
     confirm: bool,
-    safety_filter: str | None = None,
     world: str | None = None,
+    **beside: str | None,
 ) -> int:
     """Attribute the violations of runs, print and write the result, and return the exit code.
 
@@ -29,15 +29,15 @@ def attribute_runs(
         avoider: the program that made the traces; None if they need no program.
         out: the folder to write into; None writes no files.
         confirm: whether each attribution is repeated in a reference world.
-        safety_filter: the safety filter that made the traces; None if they have none.
         world: the world of the replays; None: the kinematic world.
+        **beside: the safety filter and the predictor that made the traces; None if they have none.
 
     """
     try:
         made = attribute(
             paths,
             avoider=avoider,
-            safety_filter=safety_filter,
+            **beside,
             confirm=confirm,
             world=None if world is None else world_named(world, "--world"),
             output=TERMINAL,
@@ -51,7 +51,8 @@ def attribute_runs(
         return code
     if made.attributions and not confirm and any(references()):
         chosen = [] if avoider is None else [option_of(avoider), str(avoider)]
-        chosen += [] if safety_filter is None else [SAFETY_FILTER, safety_filter]
+        for field, reference in beside.items():
+            chosen += [] if reference is None else [BESIDE[field], reference]
         chosen += [] if world is None else ["--world", world]
         command = ["safety-harness", "attribute", *map(str, paths), *chosen, "--confirm"]
         next_step(shlex.join(command), f"the same in {confirming_world()}")

@@ -22,7 +22,7 @@ commands = Typer()
 FOLDER = Path(__file__).parent / "templates"
 SUFFIXES = (".yaml", ".yml")
 AVOIDER, CONTROLLER, FILTER = "{}_avoider.py", "{}_controller.py", "{}_filter.py"
-SIMULATOR = "{}_simulator.py"
+PREDICTOR, SIMULATOR = "{}_predictor.py", "{}_simulator.py"
 SUITE, RECORDING = "test_{}.py", "{}_recording.csv"
 
 
@@ -53,6 +53,9 @@ TEMPLATES = {
     ),
     "filter": Template(
         "a safety filter of your own: a Python file and a scenario", (("filter.py.txt", FILTER),)
+    ),
+    "predictor": Template(
+        "a hand predictor of your own: a Python file and a scenario", (("predictor.py.txt", PREDICTOR),)
     ),
     "simulator": Template(
         "a simulator of your own: a Python program and a scenario", (("simulator.py.txt", SIMULATOR),)
@@ -161,6 +164,7 @@ def _texts(name: str, template: Template, scenario: Path) -> dict[Path, str]:
         "@AVOIDER@": AVOIDER.format(stem),
         "@CONTROLLER@": CONTROLLER.format(stem),
         "@FILTER@": FILTER.format(stem),
+        "@PREDICTOR@": PREDICTOR.format(stem),
         "@TEST@": SUITE.format(stem),
         "@SIMULATOR@": SIMULATOR.format(stem),
     }

@@ -56,6 +56,14 @@ OfFilter = Annotated[
         metavar="FILTER",
     ),
 ]
+OfPredictor = Annotated[
+    str | None,
+    Option(
+        "--predictor",
+        help="The predictor of the trace, named again because it is executed: FILE.py:NAME or a program.",
+        metavar="PREDICTOR",
+    ),
+]
 OfReference = Annotated[
     str | None,
     Option(

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from safety_harness.admission.admit import Admitted, admit
-from safety_harness.admission.avoiders import with_program
+from safety_harness.admission.avoiders import BESIDE, with_program
 from safety_harness.admission.repeatability import MOST, Repeatability
 from safety_harness.admission.trial import run_trial
 from safety_harness.base.exceptions import InputError, Place, TraceError
@@ -40,14 +40,12 @@ from safety_harness.trace.trace import Provenance, Trace
 from safety_harness.trace.unmeasured import refuse_not_simulated
 
 
-def replay(
-    path: Path, avoider: str | None = None, safety_filter: str | None = None, world: str | None = None
-) -> int:
+def replay(path: Path, avoider: str | None = None, world: str | None = None, **beside: str | None) -> int:
     """Repeat a recorded run; print "identical" or the first step that differs; return the exit code.
 
     The function also asks a second avoider the same questions, which reveals an avoider with a memory.
-    ``avoider``, ``safety_filter`` and ``world`` name the user's programs again.  A stranger may have made the
-    trace, so the trace itself must not choose what is executed.
+    ``avoider``, ``world`` and ``beside``, the safety filter and the predictor, name the user's programs
+    again.  A stranger may have made the trace, so the trace itself must not choose what is executed.
     """
     stored = load_trace(path)
     refuse_not_simulated(stored, path)
@@ -55,9 +53,10 @@ def replay(
     if world is not None and world_named(world, "--world").name != made_in:
         raise TraceError(place=Place(file=path, field="world"), expected=f"--world {made_in}", got=world)
     entry = world_of_trace(made_in)
-    admitted = admit(with_program(stored.scenario, avoider, path, safety_filter=safety_filter))
+    admitted = admit(with_program(stored.scenario, avoider, path, beside=beside))
     _refuse_other(stored, admitted, path)
-    _refuse_other_filter(stored, admitted, path)
+    for field in BESIDE:
+        _refuse_other_part(stored, admitted, path, field)
     with watching_runs([stored.scenario], TERMINAL) as progress:
         progress.begin(0)
         fresh = run_trial(admitted, world=entry, recorded=stored, on_tick=progress.tick)
@@ -109,19 +108,19 @@ def _refuse_other(stored: Trace, admitted: Admitted, path: Path) -> None:
         raise TraceError(place=place, expected=f"{then}, which drove then", got=_named(now, admitted))
 
 
-def _refuse_other_filter(stored: Trace, admitted: Admitted, path: Path) -> None:
-    """Raise TraceError if the safety filter differs from the trace's, by its name or by its file's hash."""
-    then, now = stored.system.safety_filter, admitted.safety_filter
+def _refuse_other_part(stored: Trace, admitted: Admitted, path: Path, field: str) -> None:
+    """Raise TraceError if the part ``field`` differs from the trace's, by its name or by its file's hash."""
+    then, now = stored.system.parts.get(field), getattr(admitted, field)
     if then is None or now is None:
         return
     differs = then.name != now.component.name or then.sha256 not in ("", now.sha256)
-    names = (file_and_name(case.scenario.safety_filter)[1] for case in (stored, admitted))
+    names = (file_and_name(getattr(case.scenario, field))[1] for case in (stored, admitted))
     if differs or len({*names}) > 1:
-        place = Place(file=path, field="safety filter")
+        place = Place(file=path, field=field.replace("_", " "))
         raise TraceError(
             place=place,
-            expected=f"{then}, which filtered then",
-            got=f"{now.component}, {admitted.scenario.safety_filter}",
+            expected=f"{then}, as then",
+            got=f"{now.component}, {getattr(admitted.scenario, field)}",
         )
 
 

@@ -16,6 +16,7 @@ from safety_harness.cli.options import (
     OfAvoider,
     OfController,
     OfFilter,
+    OfPredictor,
     OfReference,
     OfReplays,
     OfSpace,
@@ -199,13 +200,14 @@ def replay(
     avoider: OfAvoider = None,
     controller: OfController = None,
     safety_filter: OfFilter = None,
+    predictor: OfPredictor = None,
     world: OfWorldAgain = None,
 ) -> int:
     """Repeat a recorded run bit by bit.
 
     The answer is "identical", or the first step that differs.
-    If a program of yours made the trace, name that program by --avoider, --controller, --safety-filter or
-    --world, because the replay executes it. A controller or filter with another hash is refused.
+    If a program of yours made the trace, name that program by --avoider, --controller, --safety-filter,
+    --predictor or --world, because the replay executes it. A part with another hash is refused.
 
     Exit code 0: identical.
     Exit code 1: it differs.
@@ -215,7 +217,8 @@ def replay(
     from safety_harness.admission.avoiders import one_of
     from safety_harness.cli.replay import replay as replay_trace
 
-    return replay_trace(trace, one_of(avoider, controller), safety_filter, world)
+    beside = {"safety_filter": safety_filter, "predictor": predictor}
+    return replay_trace(trace, one_of(avoider, controller), world, **beside)
 
 
 @command(commands)
@@ -330,6 +333,7 @@ def attribute(
     avoider: OfAvoider = None,
     controller: OfController = None,
     safety_filter: OfFilter = None,
+    predictor: OfPredictor = None,
     out: AttributionOut = None,
     confirm: Confirm = False,
     world: OfReplays = None,
@@ -351,4 +355,5 @@ def attribute(
     from safety_harness.admission.avoiders import one_of
     from safety_harness.cli.attribute import attribute_runs
 
-    return attribute_runs(runs, one_of(avoider, controller), out, confirm, safety_filter, world)
+    beside = {"safety_filter": safety_filter, "predictor": predictor}
+    return attribute_runs(runs, one_of(avoider, controller), out, confirm, world, **beside)

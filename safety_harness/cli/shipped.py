@@ -28,6 +28,7 @@ REFERRING = (
     "avoider",
     "capsules",
     "extends",
+    "predictor",
     "recording",
     "robot",
     "safety filter",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -51,6 +51,7 @@ def attribute(
     avoider: str | None = None,
     controller: str | None = None,
     safety_filter: str | None = None,
+    predictor: str | None = None,
     confirm: bool = False,
     world: WorldEntry | str | None = None,
     output: Output = QUIET,
@@ -67,6 +68,7 @@ def attribute(
         avoider: The avoider of a trace, which you name again because the harness executes its program.
         controller: The controller of a trace, which you name again for the same reason.
         safety_filter: The safety filter of a trace, which you name again for the same reason.
+        predictor: The predictor of a trace, which you name again for the same reason.
         confirm: Whether to repeat in PyBullet each violation, and each run with the blamed parts changed.
         world: The world of the replays, such as the user's simulator. None: the kinematic world.
         output: The ``Output`` that shows the progress.
@@ -81,7 +83,7 @@ def attribute(
     replays.world.opener()
     if confirm:
         confirming_world().opener()
-    scenarios, errors = _scenarios(runs, tested, safety_filter)
+    scenarios, errors = _scenarios(runs, tested, {"safety_filter": safety_filter, "predictor": predictor})
     admitted, refused = usable(scenarios, Admitter().admit)
     if all_refused := each_once([*errors, *refused]):
         for error in all_refused:
@@ -193,7 +195,7 @@ def _lines(cause: Attribution, confirming: Admitted | None) -> Iterator[str]:
 
 
 def _scenarios(
-    runs: Attributable | Iterable[Attributable], avoider: str | None, safety_filter: str | None
+    runs: Attributable | Iterable[Attributable], avoider: str | None, beside: Mapping[str, str | None]
 ) -> tuple[list[Scenario], list[InputError]]:
     """Return the scenarios to repeat, and the errors.
 
@@ -227,17 +229,19 @@ def _scenarios(
     gathered = gather(files) if files else None
     named = [*(gathered.scenarios if gathered else ()), *scenarios]
     chosen, refused = usable(named, lambda item: item if avoider is None else with_avoider(item, avoider))
-    violated, unread = usable(traces, lambda path: _violated(load_trace(path), path, avoider, safety_filter))
-    more, unusable = usable(kept, lambda item: _violated(*item, avoider, safety_filter))
+    violated, unread = usable(traces, lambda path: _violated(load_trace(path), path, avoider, beside))
+    more, unusable = usable(kept, lambda item: _violated(*item, avoider, beside))
     violated, unread = [*violated, *more], [*unread, *unusable]
     errors += [*(gathered.errors if gathered else ()), *refused, *unread]
     return [*chosen, *(item for item in violated if item.claims)], errors
 
 
-def _violated(trace: Trace, path: Path | None, avoider: str | None, safety_filter: str | None) -> Scenario:
+def _violated(
+    trace: Trace, path: Path | None, avoider: str | None, beside: Mapping[str, str | None]
+) -> Scenario:
     """Return the scenario of a trace with only the claims that the trace violates."""
     refuse_not_simulated(trace, path)
-    scenario = with_program(trace.scenario, avoider, path, "attribute", safety_filter)
+    scenario = with_program(trace.scenario, avoider, path, "attribute", beside)
     evaluations = judge(trace, file=path)
     claims = tuple(
         replace(claim, expected=Verdict.VIOLATED)

@@ -177,6 +177,7 @@ def tested_words(scenario: Scenario, system: SystemUnderTest) -> str:
     """Return what a verdict is about: avoider or controller, shield, gate, and each changed setting."""
     shield = [] if scenario.shield is None else [f"shield {scenario.shield.kind.value}"]
     shield += [f"safety filter {system.safety_filter.name}"] if system.safety_filter else []
+    shield += [f"predictor {system.predictor.name}"] if system.predictor else []
     gate = [] if scenario.gate is None else [f"gate {', '.join(scenario.gate.demands)}"]
     changed = (f"{name} {value}" for name, _, value in changes(scenario))
     return ", ".join([system.label, *shield, *gate, *changed]) + unknown_files(scenario)

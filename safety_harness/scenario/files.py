@@ -24,6 +24,7 @@ KEYS = (
         "tcp start",
         "avoider",
         "safety filter",
+        "predictor",
         "hands",
         "faults",
         "hand sensor",

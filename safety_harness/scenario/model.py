@@ -432,6 +432,7 @@ class Scenario:
         controller: The reference of the controller that drives the arm.
         shield: The shield between controller and drives; None: no shield.
         safety_filter: The reference of the user's filter between controller and drives; empty: no filter.
+        predictor: The reference of what predicts the hands; empty: the Kalman filter, without its sets.
         gate: The gate's demands beyond its own checks; None: no further demands.
         extensions: Keys that packages add, each with its value.
         file: The file; None: a scenario from a text.
@@ -455,6 +456,7 @@ class Scenario:
     controller: str = VISUAL_SERVO
     shield: Shield | None = None
     safety_filter: str = ""
+    predictor: str = ""
     gate: GateRule | None = None
     extensions: tuple[tuple[str, Any], ...] = ()  # keys that packages add, each with its value
     file: Path | None = field(default=None, compare=False)
@@ -527,8 +529,13 @@ class Scenario:
 
     @property
     def parts_under_test(self) -> tuple[str, ...]:
-        """The references of the system under test and of its safety filter, if any."""
-        return (self.under_test, self.safety_filter) if self.safety_filter else (self.under_test,)
+        """The references of the system under test, and of its safety filter and its predictor, if any."""
+        return (self.under_test, *filter(None, (self.safety_filter, self.predictor)))
+
+    @property
+    def has_parts_beside(self) -> bool:
+        """Whether a run calls a safety filter or a predictor at each tick, so that it runs alone."""
+        return bool(self.safety_filter or self.predictor)
 
     @property
     def hand_slots(self) -> int:

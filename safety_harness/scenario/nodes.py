@@ -207,7 +207,7 @@ def _line(event: Event) -> int:
     return int(event.start_mark.line) + 1
 
 
-TESTED = ("avoider", "controller", "safety filter")  # keys whose values name parts under test
+TESTED = ("avoider", "controller", "safety filter", "predictor")  # keys whose values name parts under test
 REFERRING = (*TESTED, "recording")  # keys whose values name files
 
 

@@ -221,6 +221,16 @@ TOP = KeyTable(
             fallback="",
         ),
         Key(
+            "predictor",
+            Text(kind="name or file", expected="the name of a predictor, or the file and name of one"),
+            "what predicts the hands, each with a set that should hold it: kalman filter, or a program of "
+            "yours ([predictors](how-to/predictor.md))",
+            "mine.py:Predictor",
+            "the Kalman filter, without sets",
+            attribute="predictor",
+            fallback="",
+        ),
+        Key(
             "gate",
             Below(tables=(GATE,)),
             "what the gate asks for beside its checks ([gate](reference/controller.md#the-gate))",

@@ -42,8 +42,9 @@ def tree_of(scenario: Scenario, *, all_settings: bool = False) -> dict[str, Tree
             del tree[key]
     if not scenario.driven:
         del tree["controller"]
-    if not scenario.safety_filter:
-        del tree["safety filter"]
+    for key, reference in (("safety filter", scenario.safety_filter), ("predictor", scenario.predictor)):
+        if not reference:
+            del tree[key]
     if scenario.hands:
         tree["hands"] = [_hand(hand) for hand in scenario.hands]
     if scenario.faults:

@@ -263,6 +263,33 @@ Action = Move | Stop
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class HandSet:
+    """A hand at the end of the prediction horizon, and the set that a predictor expects to hold its centre.
+
+    ``position_in_base_m`` p (3,) is the expected centre. ``number``, 1 or more, stays the same as long as it
+    is the same hand. Exactly one of the others gives the set: a ball of ``radius_m`` around p, a box around p
+    of ``half_widths_m`` (3,) along the base's axes, or the ellipsoid of all h with (h - p)' S^-1 (h - p) <=
+    1, where ``ellipsoid_m2`` S (3, 3) is symmetric and positive definite.
+    """
+
+    position_in_base_m: Floats
+    number: int
+    radius_m: float | None = None
+    half_widths_m: Floats | None = None
+    ellipsoid_m2: Floats | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Predicted:
+    """The answer of a predictor at a tick: a set for each hand that it expects; without hands, none."""
+
+    hands: tuple[HandSet, ...] = ()
+
+
+Answer = Action | Predicted
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Moves:
     """The result of ``act_many``: a ``Move`` or ``Stop`` for each of n episodes.
 
@@ -346,8 +373,8 @@ class UserController(Protocol):
         """
         ...
 
-    def act(self, seen: Seen) -> Action:
-        """Return the action that lasts until the next tick.
+    def act(self, seen: Seen) -> Answer:
+        """Return the action that lasts until the next tick, or as a predictor the predicted hands.
 
         Args:
             seen: The fields of this tick that ``sees`` lists.

@@ -58,6 +58,7 @@ def first_difference(first: Trace, second: Trace, tolerance: float = 0.0) -> Tra
         _compare("tick", first.ticks, second.ticks, tolerance),
         _compare_rows("interventions", first, second, tolerance),
         _compare_rows("filtered", first, second, tolerance),
+        _compare_rows("predicted", first, second, tolerance),
     ]
     if len(first.overshoot_radps) and len(second.overshoot_radps):  # earlier versions did not record it
         compared.append(_compare_rows("overshoot_radps", first, second, tolerance))

@@ -68,6 +68,7 @@ def first_inconsistency(trace: Trace) -> Inconsistency | None:
         _ticks,
         _interventions,
         _filtered,
+        _predicted,
     )
     flaws = (flaw for check in checks for flaw in check(trace))
     return next((flaw for flaw in flaws if _is_known(trace.known, flaw)), None)
@@ -170,6 +171,19 @@ def _filtered(trace: Trace) -> Iterator[Inconsistency]:
     changed = (wanted["wanted_radps"] != ticks["demanded_joint_velocity_radps"]).any(axis=1)
     expected = "the flag SAFETY_FILTER where the safety filter changed the command"
     yield from at_first(changed & ~flagged, "limits", "tick", expected, ticks["limits"])
+
+
+def _predicted(trace: Trace) -> Iterator[Inconsistency]:
+    """Check that each predicted hand has a set of a positive and finite size along each axis."""
+    if not trace.scenario.predictor or trace.known.missing(["track_valid"]):
+        return
+    sets, there = trace.predicted, trace.ticks["track_valid"]
+    if len(sets) != len(there):
+        yield Inconsistency("track_valid", "trace", len(sets), f"sets of {len(there)} ticks", str(len(sets)))
+        return
+    squares_m2 = np.diagonal(sets["shape_m2"], axis1=2, axis2=3)
+    sound = (np.isfinite(squares_m2) & (squares_m2 > 0.0)).all(axis=2)
+    yield from at_first((there & ~sound).any(axis=1), "track_valid", "tick", "a set for each hand", there)
 
 
 def _times_s(scenario: Scenario, fault: Fault) -> tuple[float, float]:

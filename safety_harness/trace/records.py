@@ -201,6 +201,18 @@ def filtered_dtype(joints: int = JOINTS) -> np.dtype[Any]:
     return np.dtype(fields, align=True)
 
 
+@lru_cache
+def predicted_dtype(hands: int) -> np.dtype[Any]:
+    """Return PREDICTED: for each track of a tick, the set that a predictor expects to hold the hand.
+
+    A set is an ellipsoid (h - p)' S^-1 (h - p) <= 1 around the predicted position p, with S in ``shape_m2``.
+    Where ``box`` is true, it is a box along the base's axes, and S has the squares of its half widths.
+    """
+    tracks = TRACKS_PER_HAND * hands
+    fields = [("shape_m2", np.float64, (tracks, 3, 3)), ("box", np.bool_, (tracks,))]
+    return np.dtype(fields, align=True)
+
+
 # What a scenario's shield did in a tick: the share of the wanted speed that it allowed, and the capsule
 # nearest to the hand that caused this share; -1 without such a hand, or before the first frame.
 INTERVENTION = np.dtype(

@@ -44,10 +44,18 @@ from safety_harness.trace.records import (
     decision_dtype,
     filtered_dtype,
     intervention_dtype,
+    predicted_dtype,
     tick_dtype,
 )
 from safety_harness.trace.system import Component, Line, SystemUnderTest, system_of
-from safety_harness.trace.trace import Provenance, Trace, no_interventions, not_filtered, not_recorded
+from safety_harness.trace.trace import (
+    Provenance,
+    Trace,
+    no_interventions,
+    not_filtered,
+    not_predicted,
+    not_recorded,
+)
 
 FORMAT = "safety-harness trace 4"
 IN_PART = "safety-harness trace 5"  # this format states what is known of its columns; others know all
@@ -59,6 +67,7 @@ KNOWN = "known.json"
 CERTIFIED = "certified.json"  # only if a user asked for proofs
 INTERVENTIONS = "interventions.npy"  # only for a scenario with a shield
 FILTERED = "filtered.npy"  # only for a scenario with a safety filter
+PREDICTED = "predicted.npy"  # only for a scenario with a predictor
 OVERSHOOT = "overshoot.npy"  # only where an engine's sub-steps were recorded
 CARRIED = ("recordings/", "robot/")  # files of the scenario by their SHA-256
 MOST_PARTS = 12 + MAX_HANDS
@@ -116,6 +125,8 @@ def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] |
         arrays[INTERVENTIONS] = _fields_alone(trace.interventions)
     if trace.scenario.safety_filter:
         arrays[FILTERED] = _fields_alone(trace.filtered)
+    if trace.scenario.predictor:
+        arrays[PREDICTED] = _fields_alone(trace.predicted)
     if len(trace.overshoot_radps):
         arrays[OVERSHOOT] = trace.overshoot_radps.ravel()
     for name, array in arrays.items():
@@ -178,6 +189,7 @@ def _portable(scenario: Scenario) -> Scenario:
         avoider=with_file(scenario.avoider, name),
         controller=with_file(scenario.controller, name),
         safety_filter=with_file(scenario.safety_filter, name),
+        predictor=with_file(scenario.predictor, name),
     )
 
 
@@ -264,11 +276,12 @@ class _Reader:
             interventions = self._array(archive, INTERVENTIONS, dtype, most, INTERVENTION)
             if len(interventions) != len(ticks):
                 raise self._error(f"{len(ticks)}, one a tick", str(len(interventions)), INTERVENTIONS)
-        filtered = not_filtered()
+        filtered, predicted = not_filtered(), not_predicted()
         if scenario.safety_filter:
-            filtered = self._array(archive, FILTERED, filtered_dtype(joints), most)
-            if len(filtered) != len(ticks):
-                raise self._error(f"{len(ticks)}, one a tick", str(len(filtered)), FILTERED)
+            filtered = self._one_a_tick(archive, FILTERED, filtered_dtype(joints), most, len(ticks))
+        if scenario.predictor:
+            dtype = predicted_dtype(scenario.hand_slots)
+            predicted = self._one_a_tick(archive, PREDICTED, dtype, most, len(ticks))
         overshoot_radps = not_recorded()
         if OVERSHOOT in self._parts:
             overshoot_radps = self._array(archive, OVERSHOOT, np.dtype(np.float64), joints * most)
@@ -297,6 +310,7 @@ class _Reader:
             system=run.system or system_of(scenario, avoider=avoider),
             interventions=interventions,
             filtered=filtered,
+            predicted=predicted,
             certified=certified,
             overshoot_radps=overshoot_radps,
         )
@@ -392,6 +406,15 @@ class _Reader:
             raise self._error("a scenario in the trace", f"none that can be read ({error!r})") from error
         except InputError as error:
             raise self._error("a scenario that this version reads", str(error), "scenario.yaml") from error
+
+    def _one_a_tick(
+        self, archive: zipfile.ZipFile, name: str, dtype: np.dtype[Any], most: int, ticks: int
+    ) -> NDArray[Any]:
+        """Return the records of ``_array``, one for each of the ``ticks``."""
+        records = self._array(archive, name, dtype, most)
+        if len(records) != ticks:
+            raise self._error(f"{ticks}, one a tick", str(len(records)), name)
+        return records
 
     def _array(
         self,

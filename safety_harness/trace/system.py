@@ -38,8 +38,8 @@ class SystemUnderTest:
     """The controller in a run, the arm and its perception. Traces, ledgers and pages carry it.
 
     Only the visual servo has ``avoider`` and ``gate``. ``robot`` has the hash of its URDF and of the contents
-    of all its files. ``gate``, ``perception`` and ``settings`` have the hash of their settings. ``shield``
-    and ``safety_filter`` are None without one.
+    of all its files. ``gate``, ``perception`` and ``settings`` have the hash of their settings. ``shield``,
+    ``safety_filter`` and ``predictor`` are None without one.
     """
 
     controller: Component
@@ -50,6 +50,7 @@ class SystemUnderTest:
     settings: Component
     shield: Component | None = None
     safety_filter: Component | None = None
+    predictor: Component | None = None
 
     @property
     def tested(self) -> Component:
@@ -61,10 +62,12 @@ class SystemUnderTest:
         part = replace(self.tested, sha256=sha256)
         return replace(self, controller=part) if self.avoider is None else replace(self, avoider=part)
 
-    def of_filter(self, sha256: str) -> SystemUnderTest:
-        """Return the system with ``sha256`` as the hash of the safety filter's file, if it has a filter."""
-        part = self.safety_filter
-        return self if part is None else replace(self, safety_filter=replace(part, sha256=sha256))
+    def with_hashes(self, **sha256: str) -> SystemUnderTest:
+        """Return the system with the hashes of the files of the parts of these names, which it may lack."""
+        parts = {
+            name: replace(self.parts[name], sha256=sha256[name]) for name in sha256 if name in self.parts
+        }
+        return replace(self, **parts)
 
     @property
     def label(self) -> str:
@@ -79,8 +82,8 @@ class SystemUnderTest:
 
     @property
     def as_dict(self) -> dict[str, Any]:
-        """The parts as a dictionary for storage, with a shield or safety filter only if there is one."""
-        optional = ("shield", "safety_filter")
+        """The parts as a dictionary for storage, and the optional parts only if they exist."""
+        optional = ("shield", "safety_filter", "predictor")
         return {name: part for name, part in asdict(self).items() if name not in optional or part is not None}
 
     @property
@@ -106,6 +109,7 @@ def system_of(
     controller: Component | None = None,
     robot_sha256: str = "",
     safety_filter: Component | None = None,
+    predictor: Component | None = None,
 ) -> SystemUnderTest:
     """Return the system of a run whose arm a ``controller`` drives, or the visual servo with ``avoider``.
 
@@ -115,6 +119,7 @@ def system_of(
         controller: The user's controller. None: the visual servo.
         robot_sha256: The hash of the robot's URDF, without the settings of its mounting.
         safety_filter: The user's filter between controller and drives, if any.
+        predictor: The scenario's predictor, if any.
 
     """
     settings, robot = scenario.settings, scenario.robot
@@ -133,6 +138,7 @@ def system_of(
         settings=whole,
         shield=_shield(scenario.shield),
         safety_filter=safety_filter,
+        predictor=predictor,
     )
 
 

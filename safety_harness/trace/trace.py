@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from safety_harness.scenario.model import Scenario
 from safety_harness.trace.certified import CertifiedDecisions
 from safety_harness.trace.known import WHOLLY_KNOWN, Knowledge
-from safety_harness.trace.records import INTERVENTION, filtered_dtype
+from safety_harness.trace.records import INTERVENTION, filtered_dtype, predicted_dtype
 from safety_harness.trace.system import NOT_NOTED, Line, SystemUnderTest
 
 R = TypeVar("R")
@@ -23,6 +23,11 @@ R = TypeVar("R")
 def no_interventions() -> NDArray[np.void]:
     """Return the empty array (0,) of INTERVENTION, for a run without a shield."""
     return np.zeros(0, INTERVENTION)
+
+
+def not_predicted() -> NDArray[np.void]:
+    """Return the empty array (0,) of PREDICTED, for a run without a predictor of its scenario."""
+    return np.zeros(0, predicted_dtype(1))
 
 
 def not_filtered() -> NDArray[np.void]:
@@ -78,6 +83,7 @@ class Trace:
         system: The system under test.
         interventions: (n,) INTERVENTION of the shield, one a tick; empty without a shield.
         filtered: (n,) FILTERED, what the safety filter got at each tick; empty without a filter.
+        predicted: (n,) PREDICTED, the sets of the scenario's predictor; empty without one.
         overshoot_radps: (n, joints) by how much a joint's speed left the range between its speeds at a tick
             and at the next. An engine records it in its sub-steps. (0, 0) if not recorded.
         answer_s: (k,) the wall-clock time of each answer of a user's controller [s]. It is neither stored nor
@@ -95,6 +101,7 @@ class Trace:
     system: SystemUnderTest = NOT_NOTED
     interventions: NDArray[np.void] = field(default_factory=no_interventions)
     filtered: NDArray[np.void] = field(default_factory=not_filtered)
+    predicted: NDArray[np.void] = field(default_factory=not_predicted)
     certified: CertifiedDecisions | None = None
     overshoot_radps: NDArray[np.float64] = field(default_factory=not_recorded)
     answer_s: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
@@ -105,6 +112,7 @@ class Trace:
         self.decision_latency_s.setflags(write=False)
         self.interventions.setflags(write=False)
         self.filtered.setflags(write=False)
+        self.predicted.setflags(write=False)
         self.overshoot_radps.setflags(write=False)
         self.known.refuse_gaps_beyond(self.ticks, len(self.scenario.hands))
 

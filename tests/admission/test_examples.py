@@ -25,6 +25,7 @@ ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples"
 FILE = ROOT / "docs/how-to/avoider.md"
 PAGE = FILE.read_text()
+PREDICTORS = (ROOT / "docs/how-to/predictor.md").read_text()
 ONNX, GATE = ((ROOT / f"docs/reference/{name}.md").read_text() for name in ("onnx", "controller"))
 
 
@@ -109,7 +110,7 @@ def test_the_page_names_every_avoider_of_ours_every_example_and_every_check() ->
     for name in NAMES:
         assert f"| `{name}` |" in PAGE
     for file in EXAMPLES.glob("*.py"):
-        assert f"(../../examples/{file.name})" in PAGE + ONNX
+        assert f"(../../examples/{file.name})" in PAGE + ONNX + PREDICTORS
     for link in re.findall(r"\]\(([^)#]+)\)", PAGE):
         assert (FILE.parent / link).exists(), link
     table = GATE.split("## The gate", 1)[1].split("\n## ", 1)[0]

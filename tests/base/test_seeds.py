@@ -66,4 +66,6 @@ def test_branches_keep_their_numbers() -> None:
         "ENVIRONMENT": 12,
         "PROOF": 13,
         "SAFETY_FILTER": 14,
+        "PREDICTOR": 15,
+        "PREDICTED_INSTANT": 16,
     }

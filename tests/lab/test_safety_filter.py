@@ -414,7 +414,7 @@ def test_run_replay_and_attribute_name_the_filter() -> None:
     Path("filters.py").write_text(FILTERS + "\n# edited\n")
     edited = command("replay", trace, "--safety-filter", "filters.py:Halves")
     assert edited.exit_code == 2
-    assert "which filtered then" in edited.output
+    assert "as then" in edited.output
     assert command("attribute", trace, "--safety-filter", "filters.py:Halves").exit_code == 0
 
 

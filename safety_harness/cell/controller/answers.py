@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from safety_harness.base.exceptions import ControllerError, described, printable
 from safety_harness.cell.controller.arrays import Arrays, observed
-from safety_harness.seams.contract import IMAGE, MODE, Move, Moves, Report, Seen, Stop, UserController
+from safety_harness.seams.contract import IMAGE, MODE, Action, Move, Moves, Report, Seen, Stop, UserController
 from safety_harness.seams.rows import SeenLayout, seen_dtype
 from safety_harness.trace.records import Mode
 
@@ -41,8 +41,8 @@ class LaneAnswers:
         """All arrays of the answers, in a fixed order."""
         return self.twists, self.joints, self.by_joints, self.stop, self.modes
 
-    def take(self, lane: int, action: object) -> None:
-        """Store the ``action`` of ``lane``; raise ``ControllerError`` if the action is invalid."""
+    def take(self, lane: int, action: object) -> Action:
+        """Store the ``action`` of ``lane`` and return it; raise ``ControllerError`` if it is invalid."""
         if self._tells:
             reported = getattr(action, "report", None)
             if not isinstance(reported, Report) or not isinstance(reported.mode, Mode):
@@ -55,7 +55,7 @@ class LaneAnswers:
         self.stop[lane] = isinstance(action, Stop)
         if isinstance(action, Stop):
             twist[:] = 0.0
-            return
+            return action
         linear, angular = action.tcp_velocity_mps, action.tcp_angular_velocity_radps
         if action.joint_velocity_radps is not None:
             if linear is not None or angular is not None:
@@ -63,9 +63,10 @@ class LaneAnswers:
             joints, name = self.joints[lane], "joint_velocity_radps"
             joints[:] = numbers(name, action.joint_velocity_radps, joints.shape)
             self.by_joints[lane] = True
-            return
+            return action
         twist[:3] = 0.0 if linear is None else numbers("tcp_velocity_mps", linear, (3,))
         twist[3:] = 0.0 if angular is None else numbers("tcp_angular_velocity_radps", angular, (3,))
+        return action
 
     def take_many(self, lanes: Sequence[int], moves: object) -> None:
         """Store the result ``moves`` of ``act_many`` for all ``lanes``, with the checks of ``take``."""

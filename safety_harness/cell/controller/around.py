@@ -29,6 +29,11 @@ class ControllerWrapper:
         return self.pilot.decisions
 
     @property
+    def predicted(self) -> NDArray[np.void]:
+        """The pilot's predicted sets."""
+        return self.pilot.predicted
+
+    @property
     def interventions(self) -> NDArray[np.void]:
         """The pilot's interventions."""
         return self.pilot.interventions

@@ -22,6 +22,7 @@ from safety_harness.cell.avoidance.gate import Gate, GateDecision, Query, answer
 from safety_harness.cell.avoidance.simple import faulty
 from safety_harness.cell.controller.cycle import QUESTION, ControllerRecords, act, answer_after, report, watch
 from safety_harness.cell.controller.decision_times import NOTHING
+from safety_harness.cell.controller.predicting import PredictorCalls
 from safety_harness.cell.controller.records import (
     ANSWER,
     AnswerRecords,
@@ -47,6 +48,7 @@ from safety_harness.cell.servoing.control import DesiredView
 from safety_harness.scenario.fault_table import fault_table
 from safety_harness.seams.contract import Seen
 from safety_harness.trace.records import FAULT_CHARACTERS, DecisionOutcome, as_compiled, decision_dtype
+from safety_harness.trace.trace import not_predicted
 
 
 class Controller(Protocol):
@@ -78,7 +80,7 @@ class AvoidingServo:
     of that name. ``faults`` (n,) FAULT may delay an answer further. Until the answer counts, or until the
     decision deadline, the controller goes on as before. ``recorded_late`` (m,) has a text for each decision
     of an old trace: the fault's text if it was late by the wall's clock. ``hand_slots`` is the scenario's
-    number of hands, and ``guard`` its shield in this run.
+    number of hands, and ``guard`` its shield in this run. ``predictor`` replaces the Kalman filter.
     """
 
     def __init__(
@@ -94,6 +96,7 @@ class AvoidingServo:
         decision_times_s: NDArray[np.float64] = NOTHING,
         hand_slots: int = HAND_SLOTS[0],
         guard: Guard | None = None,
+        predictor: PredictorCalls | None = None,
     ) -> None:
         self.name = avoider.name
         self.avoider = avoider
@@ -111,6 +114,8 @@ class AvoidingServo:
             AnswerRecords(np.zeros(1, ANSWER)),
             *(guard or no_guard(hand_slots, joints)),
         )
+        self.predictor = predictor
+        self.records.parameters["predicted_elsewhere"] = predictor is not None
         self._late = late_fault(settings.avoidance.decision_deadline_s)
         self._limit_s = settings.clock.wall_limit_s
         self._held: Answer | None = None  # an answer that has come, but counts later by the wall's clock
@@ -125,6 +130,8 @@ class AvoidingServo:
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
         """Return the COMMAND (1,) for ``observation`` (1,) OBSERVATION, with a decision if necessary."""
         r, o = self.records, ObservationRecords(observation)
+        if self.predictor is not None:
+            self.predictor.predict(o, r.state, r.tracks)
         decides = watch(*r[:7], o)
         if self._sight is not None and r.question[0]["asked_tick"] == r.question[0]["tick"]:
             self._seen = self._sight.seen(r, o)
@@ -154,6 +161,11 @@ class AvoidingServo:
     def decision_latencies_s(self) -> NDArray[np.float64]:
         """The wall-clock time [s] from each question to the answer, or to the end of waiting, (m,)."""
         return np.array(self._latencies_s, dtype=np.float64)
+
+    @property
+    def predicted(self) -> NDArray[np.void]:
+        """The sets of the scenario's predictor in each tick of the run, (n,) PREDICTED; empty without one."""
+        return not_predicted() if self.predictor is None else self.predictor.predicted
 
     @property
     def interventions(self) -> NDArray[np.void]:
@@ -197,6 +209,8 @@ class AvoidingServo:
         probability, r = None if self.gate.more is None else self.gate.more.hands_within, self.records
         if probability is None:
             return None
+        if self.predictor is not None:
+            return self.predictor.half_widths_m
         at_s = float(observation[0]["time_s"] + r.parameters[0]["prediction_horizon_s"])
         pose = r.state[0]["transform_sensor_to_base"]
         return possible_half_widths_m(r.tracks, at_s, r.filter_parameters, pose, probability)

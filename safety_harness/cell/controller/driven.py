@@ -255,14 +255,13 @@ class DrivenController:
     def _called(self, answers: LaneAnswers, seen: Seen) -> Action:
         """Return the controller's action on the view ``seen``, which is stored in ``answers`` too."""
         begun_s = time.perf_counter()
-        action = self.user.act(seen)
+        answer = self.user.act(seen)
         took_s = time.perf_counter() - begun_s
         if self._computing is not None and self._computing.goes_on:
             self.answers_took_s[-1] += took_s  # a part of the last answer
         else:
             self.answers_took_s.append(took_s)
-        answers.take(0, action)
-        return action
+        return answers.take(0, answer)
 
     def _seen_now(self) -> Seen:
         """Return the controller's view at this tick."""

@@ -33,6 +33,7 @@ def parameters_dtype(joints: int) -> np.dtype[Any]:
             ("eye_in_hand", np.bool_),
             ("transform_sensor_to_base", np.float64, (4, 4)),  # of a fixed hand sensor
             ("prediction_horizon_s", np.float64),
+            ("predicted_elsewhere", np.bool_),  # a predictor of the scenario fills hands and tracks
             ("dense", np.bool_),
             ("choice", np.int64),
             ("desired_area", np.float64),

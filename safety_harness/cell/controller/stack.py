@@ -92,23 +92,25 @@ def see_hands(
 ) -> None:
     """Filter the boxes (eqs. 7, 8), predict each hand at now + horizon, and find the nearest to the TCP.
 
-    The sensor's pose is fixed, or for the camera on the flange T_tcp_to_base T_camera_to_tcp.
+    The sensor's pose is fixed, or for the camera on the flange T_tcp_to_base T_camera_to_tcp. If the scenario
+    has a predictor, it has already written the positions, and only the nearest is found.
     """
     p, s, o = parameters[0], states[0], observations[0]
-    if o.boxes_new:
+    if o.boxes_new and not p.predicted_elsewhere:
         advance_tracks(tracks, o.boxes, o.box_count, o.boxes_time_s, filter_parameters)
     if p.eye_in_hand:
         compose_into(s.transform_tcp_to_base, p.transform_camera_to_tcp, s.transform_sensor_to_base)
     else:
         copy_matrix(p.transform_sensor_to_base, s.transform_sensor_to_base)
-    predict_positions(
-        tracks,
-        o.time_s + p.prediction_horizon_s,
-        filter_parameters,
-        s.transform_sensor_to_base,
-        s.predicted_hand_in_base_m,
-        s.track_valid,
-    )
+    if not p.predicted_elsewhere:
+        predict_positions(
+            tracks,
+            o.time_s + p.prediction_horizon_s,
+            filter_parameters,
+            s.transform_sensor_to_base,
+            s.predicted_hand_in_base_m,
+            s.track_valid,
+        )
     s.predicted_distance_m = np.inf
     s.nearest_track = -1
     for i in range(tracks.shape[0]):

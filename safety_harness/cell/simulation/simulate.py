@@ -27,7 +27,14 @@ from safety_harness.scenario.model import Scenario
 from safety_harness.trace.provenance import provenance
 from safety_harness.trace.records import Limit, tick_dtype
 from safety_harness.trace.system import Component, SystemUnderTest, system_of
-from safety_harness.trace.trace import Provenance, Trace, no_interventions, not_filtered, not_recorded
+from safety_harness.trace.trace import (
+    Provenance,
+    Trace,
+    no_interventions,
+    not_filtered,
+    not_predicted,
+    not_recorded,
+)
 from safety_harness.trace.unmeasured import knowing
 
 INTERRUPTED = "interrupted by the user"
@@ -131,6 +138,7 @@ def trace_of(
         system=_system(scenario, controller),
         interventions=_interventions(scenario, controller)[: len(ticks)].copy(),
         filtered=_filtered(scenario, controller)[: len(ticks)].copy(),
+        predicted=_predicted(scenario, controller)[: len(ticks)].copy(),
         overshoot_radps=getattr(world, "overshoot_radps", not_recorded())[: len(ticks)].copy(),
         answer_s=np.array(getattr(controller, "answers_took_s", ())),
     )
@@ -160,15 +168,26 @@ def _filtered(scenario: Scenario, controller: Controller) -> NDArray[np.void]:
     return not_filtered()
 
 
+def _predicted(scenario: Scenario, controller: Controller) -> NDArray[np.void]:
+    """Return the predictor's PREDICTED (n,); raise ``ControllerError`` if the controller bypasses it."""
+    servo = controller.pilot if isinstance(controller, FilteredController) else controller
+    predicted: NDArray[np.void] = getattr(servo, "predicted", not_predicted())
+    if scenario.predictor and len(predicted) == 0:
+        raise ControllerError(f"{controller.name!r} does not ask the predictor of its scenario")
+    return predicted
+
+
 def _system(scenario: Scenario, controller: Controller) -> SystemUnderTest:
     """Return the system under test of a run; the code that reads a user's file adds the file's hash."""
     part, by_filter = Component(name=controller.name), None
     if isinstance(controller, FilteredController):
         by_filter, controller = Component(name=controller.calls.name), controller.pilot
     asks = isinstance(controller, AvoidingServo | ControllerWrapper)
-    own = {"avoider" if asks else "controller": part}
-    sha256 = urdf_sha256_of(scenario.robot)
-    return system_of(scenario, robot_sha256=sha256, safety_filter=by_filter, **own)
+    own: dict[str, Component | None] = {"avoider" if asks else "controller": part, "safety_filter": by_filter}
+    servo = controller.pilot if isinstance(controller, ControllerWrapper) else controller
+    if isinstance(servo, AvoidingServo) and servo.predictor is not None:
+        own["predictor"] = Component(name=servo.predictor.name)
+    return system_of(scenario, robot_sha256=urdf_sha256_of(scenario.robot), **own)
 
 
 @dataclass(eq=False)

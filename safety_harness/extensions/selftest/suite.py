@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from safety_harness.admission.admit import Admitted, admit
-from safety_harness.admission.avoiders import with_avoider, with_filter
+from safety_harness.admission.avoiders import with_avoider, with_part
 from safety_harness.admission.spaces import draw_admissible
 from safety_harness.base.exceptions import InputError, Place, ScenarioError, near_miss
 from safety_harness.base.seeds import Branch, seed
@@ -132,7 +132,7 @@ class SelfTestPlan:
                 continue
             tested = scenario if self.avoider is None else with_avoider(scenario, self.avoider)
             if self.safety_filter is not None:  # which takes the place of a shield
-                tested = with_filter(replace(tested, shield=None), self.safety_filter)
+                tested = with_part(replace(tested, shield=None), "safety_filter", self.safety_filter)
             yield admit(tested)
 
 

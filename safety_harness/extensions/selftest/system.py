@@ -89,11 +89,14 @@ class ChangedSystem:
         controller anew, so that no fault leaves a trace in it.
         """
         admitted = self.admitted
+        if admitted.predictor is not None:
+            fresh = replace(admitted.predictor, controller=admitted.predictor.make())
+            admitted = replace(admitted, predictor=fresh)
         scenario = admitted.scenario
         if admitted.driver is not None:
             controller: Any = admitted.driven_by(admitted.driver.make())
         else:
-            controller = self._servo()
+            controller = self._servo(admitted)
         if admitted.safety_filter is not None:
             controller = admitted.filtered(controller, admitted.safety_filter.make())
             for edit in self.filter_edits:
@@ -107,8 +110,8 @@ class ChangedSystem:
             raise KeyboardInterrupt
         return trace
 
-    def _servo(self) -> Controller:
-        pilot = self.admitted.servo()
+    def _servo(self, admitted: Admitted) -> Controller:
+        pilot = admitted.servo()
         for edit in self.edits:
             edit(pilot)
         return pilot if self.pilot is None else self.pilot(pilot)

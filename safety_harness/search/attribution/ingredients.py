@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted, check
+from safety_harness.admission.driving import kalman_filter
 from safety_harness.base.exceptions import InputError
 from safety_harness.base.settings import (
     DEFAULTS,
@@ -40,6 +41,7 @@ from safety_harness.cell.avoidance.avoider import (
 from safety_harness.cell.avoidance.measures import optimum_in_base_m
 from safety_harness.cell.avoidance.simple import AnswersNaN, NearestCandidate, OppositePose
 from safety_harness.cell.controller.controller import AvoidingServo
+from safety_harness.cell.controller.predicting import KALMAN_FILTER
 from safety_harness.claims.properties.protective_separation import ProtectiveSeparation
 from safety_harness.scenario.faults import (
     AvoiderLate,
@@ -62,6 +64,7 @@ class Ingredient(Enum):
     """An ingredient of a run; of equally helpful ingredients the first is blamed, and the person last."""
 
     SAFETY_FILTER = "safety filter"
+    PREDICTOR = "predictor"
     AVOIDER = "avoider"
     DEADLINE = "deadline"
     PERCEPTION = "perception"
@@ -220,6 +223,14 @@ def _unfiltered(system: Altered) -> Altered:
     if system.safety_filter is None:
         return system
     return replace(system.with_scenario(replace(system.scenario, safety_filter="")), safety_filter=None)
+
+
+def _by_kalman_filter(system: Altered) -> Altered:
+    """Let the Kalman filter predict the hands."""
+    if system.predictor is None or system.scenario.predictor == KALMAN_FILTER:
+        return system
+    changed = system.with_scenario(replace(system.scenario, predictor=KALMAN_FILTER))
+    return replace(changed, predictor=kalman_filter())
 
 
 def _optimum(system: Altered) -> Altered:
@@ -412,6 +423,7 @@ AT_DEFAULT = (
 )
 CHANGES: tuple[Change, ...] = (
     Change(Ingredient.SAFETY_FILTER, "left out", _unfiltered),
+    Change(Ingredient.PREDICTOR, "the Kalman filter", _by_kalman_filter),
     Change(Ingredient.AVOIDER, "exact optimum", _optimum),
     Change(Ingredient.AVOIDER, "opposite pose", _opposite),
     Change(Ingredient.DEADLINE, "answers within a tick", _in_a_tick),

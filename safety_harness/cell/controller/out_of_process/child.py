@@ -21,16 +21,19 @@ from safety_harness.cell.controller.out_of_process.messages import (
     MadeController,
     Ready,
     Reset,
+    SaidPrediction,
     SaidRow,
     SaidRows,
+    prediction_at,
     to_the_process,
 )
 from safety_harness.cell.controller.python_file import controller_in
 from safety_harness.seams.contract import (
     DECISIONS,
     IMAGE,
-    Action,
+    Answer,
     Image,
+    Predicted,
     UserController,
     acts_per_answer_of,
     reports_of,
@@ -62,7 +65,7 @@ class _Controllers(ServedKind):
         together, acts = answers_many(controller), acts_per_answer_of(controller)
         return MadeController(PROTOCOL, controller.name, sees, reports, many, together, acts)
 
-    def answers(self, message: Reset | ActOnRows) -> Iterator[Ready | SaidRow | SaidRows]:
+    def answers(self, message: Reset | ActOnRows) -> Iterator[Ready | SaidRow | SaidRows | SaidPrediction]:
         """Yield the answer to ``message``, a single one."""
         yield self._reset(message) if isinstance(message, Reset) else self._act(message)
 
@@ -77,13 +80,15 @@ class _Controllers(ServedKind):
         self._answers = LaneAnswers(len(self.made), len(message.arm.joint_names), self.reports)
         return Ready()
 
-    def _act(self, message: ActOnRows) -> SaidRow | SaidRows:
+    def _act(self, message: ActOnRows) -> SaidRow | SaidRows | SaidPrediction:
         """Return the answers of the lanes in ``message``."""
         own, answers = message.lanes, self._answers
         controllers = [self.made[lane] for lane in own]
         if not message.together:
-            action, (lane,) = self._alone(controllers[0], message), own
-            answers.take(lane, action)
+            answer, (lane,) = self._alone(controllers[0], message), own
+            if isinstance(answer, Predicted):
+                return prediction_at(message.tick, answer)
+            action = answers.take(lane, answer)
             by_joints, stop = bool(answers.by_joints[lane]), bool(answers.stop[lane])
             wanted = (answers.joints if by_joints else answers.twists)[lane].tobytes()
             decision = getattr(action.report, "decision", None) if DECISIONS in self.reports else None
@@ -94,8 +99,8 @@ class _Controllers(ServedKind):
         reasons = {lane: printable(why[lane])[:MOST_WORDS] for lane in why}
         return SaidRows(message.tick, [column[own].tobytes() for column in answers.columns], reasons)
 
-    def _alone(self, controller: UserController, message: ActOnRows) -> Action:
-        """Return the action of a single controller, which may see an image."""
+    def _alone(self, controller: UserController, message: ActOnRows) -> Answer:
+        """Return the answer of a single controller, which may see an image."""
         seen = unpacked(message.seen)
         if message.image is not None:
             time_s, new, width, sent = message.image

@@ -20,10 +20,12 @@ from safety_harness.cell.controller.answers import NOT_REPORTED
 from safety_harness.seams.contract import (
     FILTER_SIGHTS,
     REPORTS,
-    Action,
+    Answer,
     Decision,
     DrivenArm,
+    HandSet,
     Move,
+    Predicted,
     Report,
     Seen,
     Start,
@@ -168,9 +170,26 @@ class SaidRows(ProcessMessage, tag="rows", forbid_unknown_fields=True):
     why: dict[int, str]
 
 
-SaidByProgram = Ready | Welcome | SaidMove | SaidStop | Failed | Refused
+class SaidSet(Struct, forbid_unknown_fields=True):
+    """A predicted hand and its set, as in ``HandSet``."""
+
+    position_in_base_m: Numbers
+    number: int
+    radius_m: float | None = None
+    half_widths_m: Numbers | None = None
+    ellipsoid_m2: list[Numbers] | None = None
+
+
+class SaidPrediction(ProcessMessage, tag="prediction", forbid_unknown_fields=True):
+    """The answer of a predictor at a tick."""
+
+    tick: int
+    hands: list[SaidSet]
+
+
+SaidByProgram = Ready | Welcome | SaidMove | SaidStop | SaidPrediction | Failed | Refused
 said_by_program: msgspec.json.Decoder[SaidByProgram] = msgspec.json.Decoder(SaidByProgram)
-said_by_process = decoder_of(Ready | MadeController | SaidRow | SaidRows | Failed | Refused)
+said_by_process = decoder_of(Ready | MadeController | SaidRow | SaidRows | SaidPrediction | Failed | Refused)
 to_the_process = decoder_of(Make | Reset | ActOnRows)
 
 
@@ -197,8 +216,43 @@ def seen_at(tick: int, seen: Seen, lane: int) -> ActOnRows:
     return ActOnRows(tick, [lane], packed_seen(seen), image=sent)
 
 
-def action_in(row: SaidRow) -> Action:
-    """Return the action of a single lane; raise ``ValueError`` for an invalid row."""
+def prediction_at(tick: int, predicted: Predicted) -> SaidPrediction:
+    """Return the message of a predictor's answer; a value that is no number raises ValueError."""
+    return SaidPrediction(
+        tick,
+        [
+            SaidSet(
+                _listed(hand.position_in_base_m),
+                hand.number,
+                None if hand.radius_m is None else float(hand.radius_m),
+                None if hand.half_widths_m is None else _listed(hand.half_widths_m),
+                None if hand.ellipsoid_m2 is None else [_listed(row) for row in hand.ellipsoid_m2],
+            )
+            for hand in predicted.hands
+        ],
+    )
+
+
+def _listed(value: Any) -> Numbers:
+    """Return the numbers of an array (n,)."""
+    return [float(number) for number in value]
+
+
+def _predicted(message: SaidPrediction) -> Predicted:
+    """Return the predictor's answer in a message."""
+    hands = (asdict(hand) for hand in message.hands)
+    return Predicted(
+        hands=tuple(
+            HandSet(**{k: _floats(v) if isinstance(v, list) else v for k, v in hand.items()})
+            for hand in hands
+        )
+    )
+
+
+def action_in(row: SaidRow | SaidPrediction) -> Answer:
+    """Return the answer of a single lane; raise ``ValueError`` for an invalid row."""
+    if isinstance(row, SaidPrediction):
+        return _predicted(row)
     report, wanted = None, np.frombuffer(row.wanted)
     if row.mode != NOT_REPORTED or row.decision is not None:
         mode = None if row.mode == NOT_REPORTED else Mode(row.mode)
@@ -210,8 +264,10 @@ def action_in(row: SaidRow) -> Action:
     return Move(tcp_velocity_mps=wanted[:3], tcp_angular_velocity_radps=wanted[3:], report=report)
 
 
-def action_of(message: SaidMove | SaidStop) -> Action:
-    """Return the action in a controller's message; raise ``ValueError`` for an unknown word."""
+def action_of(message: SaidMove | SaidStop | SaidPrediction) -> Answer:
+    """Return the answer in a program's message; raise ``ValueError`` for an unknown word."""
+    if isinstance(message, SaidPrediction):
+        return _predicted(message)
     report = None if message.report is None else _report_of(message.report)
     if isinstance(message, SaidStop):
         return Stop(report=report)

@@ -24,6 +24,7 @@ from safety_harness.cell.controller.out_of_process.messages import (
     Ready,
     Reset,
     SaidMove,
+    SaidPrediction,
     SaidRow,
     SaidRows,
     SaidStop,
@@ -33,7 +34,7 @@ from safety_harness.cell.controller.out_of_process.messages import (
     fields_of,
     seen_at,
 )
-from safety_harness.seams.contract import Action, DrivenArm, Seen, Start
+from safety_harness.seams.contract import Answer, DrivenArm, Seen, Start
 from safety_harness.seams.isolation.channel import GoneError, NonsenseError
 from safety_harness.seams.isolation.connection import Connection, RefusedError
 from safety_harness.seams.isolation.messages import Failed, ProcessMessage
@@ -84,13 +85,15 @@ class RemoteController:
         message = Reset(settings, arm, start, str(seed), self._lane)
         self._call(message, self._clock.wall_limit_s, Ready, lambda ready: None)
 
-    def act(self, seen: Seen) -> Action:
-        """Return the controller's action; ``ControllerError`` if it is invalid or misses the wall limit."""
+    def act(self, seen: Seen) -> Answer:
+        """Return the controller's answer; ``ControllerError`` if it is invalid or misses the wall limit."""
         tick, self._tick = self._tick, self._tick + 1
         limit_s = self._clock.wall_limit_s
         if isinstance(self._said, MadeController):
-            return self._call(seen_at(tick, seen, self._lane), limit_s, SaidRow, action_in)
-        return self._call(Act(tick, fields_of(seen, self.sees)), limit_s, SaidMove | SaidStop, action_of)
+            kinds: Any = SaidRow | SaidPrediction
+            return self._call(seen_at(tick, seen, self._lane), limit_s, kinds, action_in)
+        kinds = SaidMove | SaidStop | SaidPrediction
+        return self._call(Act(tick, fields_of(seen, self.sees)), limit_s, kinds, action_of)
 
     def act_together(
         self,

@@ -16,7 +16,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TypeVar
 
-from safety_harness.admission.avoiders import command_line_reference, with_avoider
+from safety_harness.admission.avoiders import BESIDE, command_line_reference, with_avoider
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.driving import named_system
 from safety_harness.base.exceptions import InadmissibleError, InputError, Place, ScenarioError
@@ -277,7 +277,7 @@ def stratum_number(name: str) -> int:
 
 def scenarios_by_avoider(plan: Plan) -> Iterable[Scenario]:
     """Return one scenario for each avoider or controller that the plan's runs use."""
-    scenarios: dict[tuple[str, str], Scenario] = {}
+    scenarios: dict[tuple[str, ...], Scenario] = {}
     for stratum in plan.strata:
         simplest = plan.with_avoider(stratum.space.simplest)
         further: list[Scenario] = []
@@ -289,10 +289,11 @@ def scenarios_by_avoider(plan: Plan) -> Iterable[Scenario]:
                 for tested in references_in(tree, ("controller",))
                 if tested != VISUAL_SERVO
             ]
-        filters = references_in(stratum.space.tree, ("safety filter",))
-        further += [replace(simplest, safety_filter=text) for text in filters]
+        for field in BESIDE:
+            named = references_in(stratum.space.tree, (field.replace("_", " "),))
+            further += [replace(simplest, **{field: text}) for text in named]  # type: ignore[arg-type]  # of BESIDE
         for tested in (simplest, *further):
-            scenarios.setdefault((command_line_reference(tested), tested.safety_filter), tested)
+            scenarios.setdefault((command_line_reference(tested), *tested.parts_under_test[1:]), tested)
     return scenarios.values()
 
 

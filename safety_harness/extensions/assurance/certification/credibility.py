@@ -90,7 +90,7 @@ def _no_reruns(chosen: Sequence[Trace]) -> list[str]:
         return [
             "The ledger stores no declared random run, so this report repeats no run with other step sizes."
         ]
-    if any(is_a_program(trace.scenario.under_test) or trace.scenario.safety_filter for trace in chosen):
+    if any(is_a_program(trace.scenario.under_test) or trace.scenario.has_parts_beside for trace in chosen):
         return ["This report repeats no run of a user's program: verify --execute-programs does."]
     return []
 

@@ -270,6 +270,7 @@ class SystemDescription:
         names = (
             system.tested.name
             + (f" with safety filter {part.name}" if (part := system.safety_filter) else "")
+            + (f" with predictor {part.name}" if (part := system.predictor) else "")
             for system in self.under_test
         )
         return " and ".join(dict.fromkeys(names))
@@ -603,7 +604,7 @@ def read_evidence(path: Path) -> Evidence:
 def _as_now(document: dict[str, Any]) -> dict[str, Any]:
     """Return the JSON of an earlier version, converted to the fields of this version.
 
-    An earlier version recorded only the avoider and the robot of the system, or no safety filter.
+    An earlier version recorded only the avoider and the robot of the system, or no parts beside it.
     """
     whole = {name: getattr(Evidence, name) for name in LATER} | document
     known, system = whole.get("credibility"), whole.get("system")
@@ -618,7 +619,8 @@ def _as_now(document: dict[str, Any]) -> dict[str, Any]:
     elif isinstance(system, dict) and isinstance(system.get("under_test"), list):
         parts_then = system["under_test"]
         if all(isinstance(part, dict) for part in parts_then):
-            whole["system"] = system | {"under_test": [{"safety_filter": None} | part for part in parts_then]}
+            lacking = {"safety_filter": None, "predictor": None}
+            whole["system"] = system | {"under_test": [lacking | part for part in parts_then]}
     return whole
 
 

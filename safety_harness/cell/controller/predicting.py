@@ -1,0 +1,167 @@
+"""Run a predictor: at each tick it gives the hands at the end of the horizon, and a set for each.
+
+The predictor is called like a controller, before the visual servo.  It replaces the Kalman filter of the
+servo, and the gate's ``every hand within`` uses its sets.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.exceptions import ControllerError, described, printable
+from safety_harness.base.settings import Settings
+from safety_harness.base.special import normal_quantile
+from safety_harness.cell.controller.answers import numbers
+from safety_harness.cell.controller.driven import DrivenController
+from safety_harness.cell.controller.records import ObservationRecords, StateRecords, TrackRecords
+from safety_harness.cell.robot.description import ArmModel
+from safety_harness.cell.servoing.control import DesiredView
+from safety_harness.seams.contract import (
+    PREDICTED_HANDS,
+    DrivenArm,
+    HandSet,
+    Predicted,
+    Seen,
+    Start,
+    UserController,
+)
+from safety_harness.trace.records import predicted_dtype
+
+Floats = NDArray[np.float64]
+KALMAN_FILTER = "kalman filter"
+CONFIDENCE = 0.95  # of the sets of the Kalman filter
+
+
+class PredictorCalls(DrivenController):
+    """The calls of a predictor in an episode of ``ticks`` ticks, which starts at ``joint_position_rad`` (n,).
+
+    ``predicted`` (n,) PREDICTED keeps the sets of each tick, and ``half_widths_m`` (k, 3) has those of the
+    present tick along the base's axes, for its k hands.
+    """
+
+    def __init__(
+        self,
+        user: UserController,
+        settings: Settings,
+        arm: ArmModel,
+        view: DesiredView | None,
+        joint_position_rad: Floats,
+        seed: int,
+        hand_slots: int,
+        ticks: int,
+    ) -> None:
+        super().__init__(user, settings, arm, view, joint_position_rad, seed, hand_slots)
+        self.predicted = np.zeros(ticks, predicted_dtype(hand_slots))
+        self.half_widths_m = np.zeros((0, 3))
+
+    def failed(self, why: str) -> ControllerError:
+        """Return the error with the reason ``why``, which ends the run at this tick."""
+        return ControllerError(str(super().failed(why)).replace("the controller", "the predictor", 1))
+
+    def predict(self, observation: ObservationRecords, state: StateRecords, tracks: TrackRecords) -> None:
+        """Write the predicted hands of this tick into ``state`` (1,) STATE and ``tracks`` (n,) TRACK.
+
+        Raises:
+            ControllerError: The predictor raises an exception, or its answer is invalid.
+
+        """
+        self.perceive(observation)
+        try:
+            hands = _hands_of(self.user.act(self._seen_now()), len(tracks))
+            self._write(hands, state[0], tracks)
+        except ControllerError as error:
+            raise self.failed(str(error)) from error
+        except (Exception, SystemExit) as error:  # a user's code may raise anything
+            raise self.failed(f"act raised: {described(error)}") from error
+        self.question["tick"] += 1
+
+    def _write(self, hands: tuple[HandSet, ...], state: np.void, tracks: TrackRecords) -> None:
+        """Write the ``hands`` into ``state`` STATE, ``tracks`` (n,) TRACK and the record of this tick."""
+        sets = self.predicted[int(self.question[0]["tick"])]
+        state["track_valid"][:] = False
+        tracks["valid"] = False
+        for k, hand in enumerate(hands):
+            state["predicted_hand_in_base_m"][k] = _finite(
+                "position_in_base_m", hand.position_in_base_m, (3,)
+            )
+            state["track_valid"][k] = tracks["valid"][k] = True
+            tracks["id"][k] = hand.number
+            sets["shape_m2"][k], sets["box"][k] = _shape_of(hand), hand.half_widths_m is not None
+        squares_m2 = np.diagonal(sets["shape_m2"][: len(hands)], axis1=1, axis2=2)
+        self.half_widths_m = np.sqrt(squares_m2)
+
+
+def _hands_of(answer: object, most: int) -> tuple[HandSet, ...]:
+    """Return the hands of a predictor's ``answer``; raise ControllerError if they are invalid."""
+    if not isinstance(answer, Predicted):
+        raise ControllerError(f"act returned no Predicted: {printable(repr(answer))}")
+    hands = tuple(answer.hands)
+    if len(hands) > most:
+        raise ControllerError(f"act predicted {len(hands)} hands; a run has room for {most}")
+    for hand in hands:
+        if not isinstance(hand, HandSet):
+            raise ControllerError(f"act predicted no HandSet: {printable(repr(hand))}")
+        if isinstance(hand.number, bool) or not isinstance(hand.number, int) or hand.number < 1:
+            raise ControllerError(f"act predicted a hand whose number is no integer from 1: {hand.number!r}")
+    if len({hand.number for hand in hands}) < len(hands):
+        raise ControllerError("act predicted two hands with the same number")
+    return hands
+
+
+def _shape_of(hand: HandSet) -> Floats:
+    """Return S (3, 3) [m^2] of a hand's set, as PREDICTED has it; ControllerError if the set is invalid."""
+    given = [
+        name for name in ("radius_m", "half_widths_m", "ellipsoid_m2") if getattr(hand, name) is not None
+    ]
+    if len(given) != 1:
+        got = " and ".join(given) or "none"
+        raise ControllerError(f"act predicted a hand whose set is not one of ball, box and ellipsoid: {got}")
+    if hand.ellipsoid_m2 is not None:
+        shape = _finite("ellipsoid_m2", hand.ellipsoid_m2, (3, 3))
+        if not np.array_equal(shape, shape.T) or not (np.linalg.eigvalsh(shape) > 0.0).all():
+            raise ControllerError("act predicted an ellipsoid_m2 that is not symmetric and positive definite")
+        return shape
+    name, size = given[0], () if hand.radius_m is not None else (3,)
+    widths = _finite(name, getattr(hand, name), size)
+    if not (widths > 0.0).all():
+        raise ControllerError(f"act predicted a {name} that is not positive: {widths.tolist()}")
+    return np.asarray(np.diag(np.broadcast_to(widths * widths, 3)))
+
+
+def _finite(name: str, value: object, shape: tuple[int, ...]) -> Floats:
+    """Return ``value`` as an array of ``shape``; raise ControllerError unless all numbers are finite."""
+    given = np.asarray(numbers(name, value, shape), dtype=np.float64)
+    if not np.isfinite(given).all():
+        raise ControllerError(f"act predicted a {name} that is not finite: {given.tolist()}")
+    return given
+
+
+class KalmanFilter:
+    """The predictor that ships: the Kalman filter's hands, each with a box that holds it in 95 %.
+
+    The box has k standard deviations of the position along each axis, with the normal quantile k of
+    (1 + 0.95^(1/3))/2. It relies on the filter's covariance.
+    """
+
+    name: ClassVar[str] = KALMAN_FILTER
+    sees: ClassVar[tuple[str, ...]] = (PREDICTED_HANDS,)
+
+    def reset(self, *, settings: Settings, arm: DrivenArm, start: Start, seed: int) -> None:
+        """Begin an episode; nothing is kept."""
+        self._deviations = normal_quantile(0.5 + 0.5 * CONFIDENCE ** (1.0 / 3.0))
+
+    def act(self, seen: Seen) -> Any:
+        """Return the Kalman filter's hands with their boxes."""
+        return Predicted(
+            hands=tuple(
+                HandSet(
+                    position_in_base_m=hand.position_in_base_m,
+                    number=hand.number,
+                    half_widths_m=self._deviations * np.sqrt(np.diagonal(hand.covariance)[:3]),
+                )
+                for hand in seen.predicted_hands
+            )
+        )

@@ -1,0 +1,145 @@
+"""Judge the sets of a predictor: at an instant that is drawn for each run, they must hold every hand.
+
+A set that holds the hand in 95 % of all cases may miss it.  So one run shows little, and the share of runs in
+which it misses is what a plan bounds.  Instants of one run depend on each other; therefore each run counts
+once, at an instant that is drawn from the run's seed with the same probability for all.  Then runs with
+independent seeds are independent, and the exact bound of a campaign holds for the share of misses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.seeds import Branch, generator
+from safety_harness.claims.properties.base import Evaluation, Unit, Worded, inconclusive, judged
+from safety_harness.claims.properties.entry import CatalogueEntry
+from safety_harness.claims.properties.measured import reads, unexercised
+from safety_harness.claims.signals.occasions import no_hand
+from safety_harness.trace.trace import Trace
+
+HANDS = "hand_position_in_base_m"
+NO_SET = -1.0  # the margin of a hand that the predictor does not expect at all
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldBySets(Worded):
+    """The least 1 - g over the hands at the drawn instant, with the least gauge g of each over all sets.
+
+    The gauge of a hand is 0 at a set's centre, 1 on its surface, and proportional on each ray. A prediction
+    at time t is for t plus the horizon. The true hands at that time are interpolated linearly between two
+    ticks. An instant can be drawn if a hand has been there for ``since_s``, and only such hands count.
+    """
+
+    since_s: float
+    unit: Unit = Unit.FRACTION
+    wording: ClassVar[str] = (
+        "predicted sets hold each hand that has been there for {since_s:ms}, at a drawn instant"
+    )
+
+    @reads(HANDS, also=["track_valid", "predicted_hand_in_base_m"])
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge the instant that the run's seed draws."""
+        if not trace.scenario.predictor:
+            return inconclusive(self, "the scenario has no predictor")
+        if not trace.scenario.hands:
+            return unexercised(self, no_hand(trace))
+        gauges = _gauges(trace)  # (k, hands)
+        counts = self._counts(trace, len(gauges))
+        instants = np.flatnonzero(counts.any(axis=1))
+        if len(instants) == 0:
+            return unexercised(self, f"no hand was there for {self.since_s * 1e3:g} ms and the horizon")
+        draw = generator(trace.scenario.seed, Branch.PREDICTED_INSTANT)
+        tick = int(instants[draw.integers(len(instants))])
+        gauge = float(gauges[tick][counts[tick]].max())
+        margin = 1.0 - gauge if np.isfinite(gauge) else NO_SET
+        held = (gauges <= 1.0)[counts].mean()
+        reason = f"drawn instant {trace.time_s[tick]:.3f} s: {_size_words(trace, tick)}"
+        reason += f"; the sets hold the hand at {held:.1%} of all instants{_lateness(trace, gauges)}"
+        return judged(self, trace, margin, trace.time_s[tick], reason, len(instants))
+
+    def _counts(self, trace: Trace, count: int) -> NDArray[np.bool_]:
+        """Return (k, hands) whether a hand has been there for ``since_s``, and still is at the horizon."""
+        present = trace.ticks["hand_present"][:, : len(trace.scenario.hands)].astype(np.bool_)
+        ticks = np.arange(len(present))[:, None]
+        absent = np.maximum.accumulate(np.where(present, -1, ticks), axis=0)
+        since = self.since_s / trace.scenario.settings.clock.control_period_s
+        long = present & (ticks - absent - 1 >= since - 1e-9)
+        start, later, _ = _ends_of_horizon(trace)
+        return np.asarray(long[:count] & present[start] & present[later])
+
+
+def _ends_of_horizon(trace: Trace) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """Return, for each tick whose horizon ends in the trace, the ticks (k,) before and after that end.
+
+    The third array (k,) is the share of the second tick in the time between both.
+    """
+    settings = trace.scenario.settings
+    ahead = settings.hand_filter.prediction_horizon_s / settings.clock.control_period_s
+    at = np.arange(len(trace.ticks)) + ahead
+    at = at[at <= len(trace.ticks) - 1]
+    start = at.astype(np.int64)
+    part = np.asarray(at - start, dtype=np.float64)
+    return start, start + (part > 0.0), part
+
+
+def _gauges(trace: Trace) -> NDArray[np.float64]:
+    """Return (k, hands) the least gauge of each true hand over the sets for its time; infinite without a set.
+
+    k is the number of ticks whose predictions are for times within the trace.
+    """
+    ticks, sets = trace.ticks, trace.predicted
+    start, later, part = _ends_of_horizon(trace)
+    count, share = len(start), part[:, None, None]
+    hands_m = ticks[HANDS][:, : len(trace.scenario.hands)]
+    true_m = hands_m[start] * (1.0 - share) + hands_m[later] * share
+    gauges = np.full(true_m.shape[:2], np.inf)
+    for track in range(ticks["track_valid"].shape[1]):
+        there = np.flatnonzero(ticks["track_valid"][:count, track])
+        if len(there) == 0:
+            continue
+        off_m = true_m[there] - ticks["predicted_hand_in_base_m"][there, track][:, None]
+        shape_m2 = sets["shape_m2"][there, track]
+        widths_m = np.sqrt(np.diagonal(shape_m2, axis1=1, axis2=2))[:, None]
+        solved = np.linalg.solve(shape_m2[:, None], off_m[..., None])[..., 0]
+        round_ = np.sqrt(np.maximum((off_m * solved).sum(axis=2), 0.0))
+        own = np.where(sets["box"][there, track][:, None], np.abs(off_m / widths_m).max(axis=2), round_)
+        gauges[there] = np.minimum(gauges[there], own)
+    return gauges
+
+
+def _size_words(trace: Trace, tick: int) -> str:
+    """Return the half widths of the sets at a tick, largest first, as words."""
+    there = trace.ticks["track_valid"][tick]
+    squares_m2 = np.diagonal(trace.predicted["shape_m2"][tick][there], axis1=1, axis2=2)
+    sizes = sorted((np.sqrt(row) * 1e3 for row in squares_m2), key=lambda widths: -float(widths.max()))
+    texts = (" x ".join(f"{width:.0f}" for width in widths) + " mm" for widths in sizes)
+    return "half widths " + ", ".join(texts) if sizes else "no set"
+
+
+def _lateness(trace: Trace, gauges: NDArray[np.float64]) -> str:
+    """Return how long after its first tick a hand was first held by a set, the greatest of all hands."""
+    late_s = 0.0
+    for hand in range(gauges.shape[1]):
+        there = np.flatnonzero(trace.ticks["hand_present"][: len(gauges), hand])
+        held = there[gauges[there, hand] <= 1.0]
+        if len(held) == 0:
+            return ""
+        late_s = max(late_s, float(trace.time_s[held[0]] - trace.time_s[there[0]]))
+    return f", first {late_s * 1e3:.0f} ms after it came"
+
+
+HELD_BY_SETS = CatalogueEntry(
+    prop=HeldBySets(since_s=0.2),
+    rationale="a controller that keeps out of a predicted set relies on the hand being in it",
+    source="split conformal prediction: the coverage of a set is a share of independent cases",
+    margin="1 less the gauge of the hand in its nearest set (0 at the centre, 1 on the surface), least over "
+    "the hands at the drawn instant; -100 % for a hand without a set",
+    parameters="how long a hand has been there before it counts; the prediction horizon in the settings",
+    exercised="a hand has been there for so long, and still is at the end of the horizon, within the run",
+    inconclusive="the scenario has no predictor",
+    broken_by="a predictor whose sets are too small, or that loses the hand",
+)
