@@ -44,7 +44,8 @@ def error_m(scenario):
     trace = run_kinematic(admit(scenario))
     (evaluation,) = judge(trace)
     radius_m = math.sqrt(trace.predicted["shape_m2"].max())  # the same for all balls
-    return math.inf if evaluation.margin == -1.0 else radius_m * (1.0 - evaluation.margin)
+    margin = evaluation.margin  # (1 - g)/(1 + g), with the error in radii as g; -1 without a ball
+    return math.inf if margin == -1.0 else radius_m * (1.0 - margin) / (1.0 + margin)
 
 
 def quantile(errors, level):

@@ -32,6 +32,7 @@ from safety_harness.scenario.fault_table import fault_table
 from safety_harness.scenario.faults import CameraHidden, CameraLate, FalseHand, HandSensorLate
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.references import file_and_name
+from safety_harness.scenario.robots import YesNo
 
 TOUCHING_M = 1e-6  # nearer edges of an outline count as touching
 # Above this number, triangles servo to 5 mm in raster images from at most two of eight starts; below 500
@@ -159,13 +160,29 @@ def refuse_gate(scenario: Scenario) -> None:
         got = "another controller" if scenario.driven else "the gate of reach alone"
         raise scenario.inadmissible("the visual servo with its full gate, whose rule this is", got, "gate")
     if scenario.gate is not None and not any(scenario.gate.demands):
-        expected = "every hand within, or questions within"
-        raise InadmissibleError(place=scenario.place("gate"), expected=expected, got="neither")
+        expected = "every hand within, every hand in its set, or questions within"
+        raise InadmissibleError(place=scenario.place("gate"), expected=expected, got="none of them")
+    _refuse_sets(scenario)
     region = None if scenario.gate is None else scenario.gate.questions_within
     for box in () if region is None else (region.hand, region.tcp):
         if not all(low < high for low, high in zip(box.low_m, box.high_m, strict=True)):
             expected = "boxes whose from is below to on each axis"
             raise InadmissibleError(place=scenario.place("gate"), expected=expected, got=box.summary)
+
+
+def _refuse_sets(scenario: Scenario) -> None:
+    """Refuse a gate rule about possible hands that what predicts the hands cannot serve."""
+    rule = scenario.gate
+    if rule is None:
+        return
+    if scenario.predictor and rule.hands_within is not None:
+        got, hint = f"predictor {scenario.predictor}", "every hand in its set: yes"
+        expected = "the Kalman filter's covariance for every hand within"
+        raise scenario.inadmissible(expected, got, "gate.every hand within", hint=hint)
+    if rule.hands_in_sets is YesNo.YES and not scenario.predictor:
+        hint = "predictor: kalman filter"
+        expected = "a predictor, whose sets the gate takes"
+        raise scenario.inadmissible(expected, "none", "gate.every hand in its set", hint=hint)
 
 
 def refuse_late_drives(scenario: Scenario) -> None:

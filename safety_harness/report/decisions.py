@@ -309,7 +309,7 @@ def refused_for_possible(trace: Trace) -> int:
 
 def asks_of_hands(trace: Trace) -> bool:
     """Return whether the scenario's gate has a rule about possible hands."""
-    return trace.scenario.gate is not None and trace.scenario.gate.hands_within is not None
+    return trace.scenario.gate is not None and trace.scenario.gate.of_possible_hands
 
 
 def possible_lines(traces: Iterable[Trace]) -> list[str]:

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.base.settings import Vector3
-from safety_harness.scenario.codec import POINT, Below, QuantityValue, declared, key, table_of
+from safety_harness.scenario.codec import POINT, Below, QuantityValue, Word, declared, key, table_of
+from safety_harness.scenario.robots import YesNo
 from safety_harness.scenario.units import FRACTION
 
 _BOX = "{from: [600 mm, -500 mm, -200 mm], to: [700 mm, -400 mm, -100 mm]}"
@@ -75,6 +76,13 @@ class GateRule:
         "99 %",
         default=None,
     )
+    hands_in_sets: YesNo = key(
+        "every hand in its set",
+        Word(YesNo),
+        "the way leads away from every place in the sets of the scenario's [predictor](how-to/predictor.md)",
+        "yes",
+        default=YesNo.NO,
+    )
     questions_within: AskedRegion | None = key(
         "questions within",
         Below(tables=(table_of(AskedRegion, "a region of questions", path="gate.questions within"),)),
@@ -84,10 +92,17 @@ class GateRule:
     )
 
     @property
+    def of_possible_hands(self) -> bool:
+        """Whether a demand concerns all places where a hand may be."""
+        return self.hands_within is not None or self.hands_in_sets is YesNo.YES
+
+    @property
     def demands(self) -> Iterator[str]:
         """The demands, each in a few words."""
         if self.hands_within is not None:
             yield f"every hand within {100.0 * self.hands_within:g} %"
+        if self.hands_in_sets is YesNo.YES:
+            yield "every hand in its set"
         if self.questions_within is not None:
             yield f"questions within {self.questions_within.summary}"
 

@@ -157,7 +157,8 @@ seed: 7
 tcp start:
   offset: [40 mm, -120 mm, 60 mm]
 avoider: opposite pose
-gate: {{every hand within: 99 %}}
+predictor: kalman filter
+gate: {{every hand in its set: yes}}
 hands:
   - hand: right hand
     starts at: [1.2 m, -0.7 m, 100 mm]
@@ -172,6 +173,7 @@ claims:
   no moving part touches a hand: holds
   {HELD}: holds
 """
+KALMAN, RULE = "predictor: kalman filter\n", "gate: {every hand in its set: yes}\n"
 SHORT = SCENARIO.replace("duration: 1.6 s", "duration: 0.4 s")
 
 
@@ -184,7 +186,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def scenario(reference: str = "", text: str = SCENARIO) -> Scenario:
     line = f'predictor: "{reference}"\n' if reference else ""
-    Path("visit.yaml").write_text(text.replace("gate:", f"{line}gate:"))
+    Path("visit.yaml").write_text(text.replace(KALMAN, line or KALMAN))
     return read_scenario(Path("visit.yaml"))
 
 
@@ -206,7 +208,7 @@ def in_a_folder(factory: pytest.TempPathFactory, reference: str) -> Trace:
 
 @pytest.fixture(scope="module")
 def without() -> Trace:
-    return run_kinematic(admit(parse_scenario(SCENARIO.replace("gate: {every hand within: 99 %}\n", ""))))
+    return run_kinematic(admit(parse_scenario(SCENARIO.replace(KALMAN + RULE, ""))))
 
 
 @pytest.fixture(scope="module")
@@ -226,8 +228,7 @@ def assert_equal_ticks(one: Trace, other: Trace) -> None:
 
 
 def test_the_kalman_filter_as_a_predictor_changes_no_bit_of_a_run(without: Trace) -> None:
-    text = SCENARIO.replace("gate: {every hand within: 99 %}\n", "predictor: kalman filter\n")
-    predicted = run_kinematic(admit(parse_scenario(text)))
+    predicted = run_kinematic(admit(parse_scenario(SCENARIO.replace(RULE, ""))))
     assert_equal_ticks(without, predicted)
     assert len(without.decisions)
     assert without.decisions["chosen_position_in_base_m"].tobytes() == (
@@ -272,7 +273,7 @@ def test_the_claim_agrees_with_a_gauge_by_hand(name: str) -> None:
         "Box": np.abs(off / [0.1, 0.2, 0.3]).max(),
         "Ellipsoid": np.sqrt(off @ np.linalg.inv(shape) @ off),
     }[name]
-    assert evaluation.margin == pytest.approx(1.0 - gauge, abs=1e-9)
+    assert evaluation.margin == pytest.approx((1.0 - gauge) / (1.0 + gauge), abs=1e-9)
     assert (evaluation.verdict is Verdict.VIOLATED) == (gauge > 1.0)
 
 
@@ -350,7 +351,7 @@ def test_what_cannot_be_a_predictor_is_refused_before_the_run(
 ) -> None:
     text = SCENARIO
     if change:
-        text = text.replace("gate: {every hand within: 99 %}\n", f'predictor: "{reference}"\n')
+        text = text.replace(KALMAN + RULE, f'predictor: "{reference}"\n')
         text, reference = text.replace("avoider: opposite pose\n", change), ""
     with pytest.raises(InadmissibleError, match=re.escape(words)):
         admit(scenario(reference, text))
@@ -358,7 +359,7 @@ def test_what_cannot_be_a_predictor_is_refused_before_the_run(
 
 def test_a_controller_that_answers_with_predictions_ends_its_run() -> None:
     text = SCENARIO.replace("avoider: opposite pose\n", "controller: mine.py:Ball\n")
-    text = text.replace("gate: {every hand within: 99 %}\n", "")
+    text = text.replace(KALMAN + RULE, "")
     with pytest.raises(ControllerError, match="act returned no Move and no Stop"):
         run_with("", text)
 
@@ -399,7 +400,9 @@ def test_traces_keep_the_sets_and_refuse_lost_ones(ball: Trace, tmp_path: Path) 
 
 
 def test_a_scenario_without_a_predictor_is_written_as_before() -> None:
-    assert "\npredictor:" not in write_scenario(parse_scenario(SCENARIO), all_settings=True)
+    assert "\npredictor:" not in write_scenario(
+        parse_scenario(SCENARIO.replace(KALMAN + RULE, "")), all_settings=True
+    )
     assert '\npredictor: "mine.py:Ball"\n' in write_scenario(scenario("mine.py:Ball"))
 
 
@@ -432,7 +435,7 @@ def test_an_edited_predictor_stops_a_campaign_that_goes_on() -> None:
     text = SHORT.replace("scenario:", "scenario space:").replace(
         "wait: 300 ms", "wait: from 200 ms to 400 ms"
     )
-    Path("space.yaml").write_text(text.replace("gate:", "predictor: mine.py:Ball\ngate:"))
+    Path("space.yaml").write_text(text.replace("kalman filter", "mine.py:Ball"))
     Path("plan.yaml").write_text(
         "plan: predictors\nworld: kinematic\nseed: 1\nstrata:\n  - stratum: all\n    space: space.yaml\n"
         f"    runs: 4\nclaims:\n  - claim: {HELD}\n"

@@ -206,14 +206,14 @@ class AvoidingServo:
 
     def _half_widths_m(self, observation: NDArray[np.void]) -> NDArray[np.float64] | None:
         """Return the half widths (k, 3) of each predicted hand's box, if the gate's rule needs them."""
-        probability, r = None if self.gate.more is None else self.gate.more.hands_within, self.records
-        if probability is None:
+        rule, r = self.gate.more, self.records
+        if rule is None or not rule.of_possible_hands:
             return None
-        if self.predictor is not None:
-            return self.predictor.half_widths_m
+        if rule.hands_within is None:
+            return None if self.predictor is None else self.predictor.half_widths_m
         at_s = float(observation[0]["time_s"] + r.parameters[0]["prediction_horizon_s"])
         pose = r.state[0]["transform_sensor_to_base"]
-        return possible_half_widths_m(r.tracks, at_s, r.filter_parameters, pose, probability)
+        return possible_half_widths_m(r.tracks, at_s, r.filter_parameters, pose, rule.hands_within)
 
     @property
     def _recorded_words(self) -> str:

@@ -74,7 +74,7 @@ def kept_from_possible_hands(trace: Trace, decision: np.void, failed: str) -> bo
     hands.
     """
     rule = trace.scenario.gate
-    if rule is None or rule.hands_within is None:
+    if rule is None or not rule.of_possible_hands:
         return False
     return trace.known.missing([OF_DECISIONS + failed]) != () or bool(decision[failed] & Check.TOWARDS_A_HAND)
 

@@ -22,12 +22,12 @@ from safety_harness.claims.signals.occasions import no_hand
 from safety_harness.trace.trace import Trace
 
 HANDS = "hand_position_in_base_m"
-NO_SET = -1.0  # the margin of a hand that the predictor does not expect at all
+NO_SET = -1.0  # the limit of (1 - g)/(1 + g), for a hand that the predictor does not expect at all
 
 
 @dataclass(frozen=True, kw_only=True)
 class HeldBySets(Worded):
-    """The least 1 - g over the hands at the drawn instant, with the least gauge g of each over all sets.
+    """The least (1 - g)/(1 + g) over the hands at the drawn instant, with the least gauge g over all sets.
 
     The gauge of a hand is 0 at a set's centre, 1 on its surface, and proportional on each ray. A prediction
     at time t is for t plus the horizon. The true hands at that time are interpolated linearly between two
@@ -55,7 +55,7 @@ class HeldBySets(Worded):
         draw = generator(trace.scenario.seed, Branch.PREDICTED_INSTANT)
         tick = int(instants[draw.integers(len(instants))])
         gauge = float(gauges[tick][counts[tick]].max())
-        margin = 1.0 - gauge if np.isfinite(gauge) else NO_SET
+        margin = (1.0 - gauge) / (1.0 + gauge) if np.isfinite(gauge) else NO_SET
         held = (gauges <= 1.0)[counts].mean()
         reason = f"drawn instant {trace.time_s[tick]:.3f} s: {_size_words(trace, tick)}"
         reason += f"; the sets hold the hand at {held:.1%} of all instants{_lateness(trace, gauges)}"
@@ -136,8 +136,9 @@ HELD_BY_SETS = CatalogueEntry(
     prop=HeldBySets(since_s=0.2),
     rationale="a controller that keeps out of a predicted set relies on the hand being in it",
     source="split conformal prediction: the coverage of a set is a share of independent cases",
-    margin="1 less the gauge of the hand in its nearest set (0 at the centre, 1 on the surface), least over "
-    "the hands at the drawn instant; -100 % for a hand without a set",
+    margin="(1 - g)/(1 + g) with the gauge g of the hand in its nearest set (0 at the centre, 1 on the "
+    "surface), least over the hands at the drawn instant; -100 % for a hand without a set, also if the "
+    "sensor does not see it",
     parameters="how long a hand has been there before it counts; the prediction horizon in the settings",
     exercised="a hand has been there for so long, and still is at the end of the horizon, within the run",
     inconclusive="the scenario has no predictor",
