@@ -59,6 +59,9 @@ def test_it_is_read_and_written_and_refused_where_it_asks_nothing(trace: Trace) 
     scenario: Scenario = trace.scenario
     assert parse_scenario(write_scenario(scenario)).gate == scenario.gate
     turned = AskedRegion(hand=BOX, tcp=PositionBox(low_m=BOX.high_m, high_m=BOX.low_m))
-    for gate, words in ((GateRule(), "none of them"), (GateRule(questions_within=turned), "from is below to")):
+    for gate, words in (
+        (GateRule(), "none of them"),
+        (GateRule(questions_within=turned), "from is below to"),
+    ):
         with pytest.raises(InadmissibleError, match=words):
             refuse_gate(replace(scenario, gate=gate))
