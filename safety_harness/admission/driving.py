@@ -133,10 +133,8 @@ class Drivers:
         key = scenario.predictor, folder
         made = self._made.get(key) or self._made_of(key, place)
         if {IMAGE, WANTED} & {*sees_of(made.controller)}:
-            expected, got = (
-                "a predictor, which sees no image and no wanted command",
-                ", ".join(made.controller.sees),
-            )
+            expected = "a predictor, which sees no image and no wanted command"
+            got = ", ".join(made.controller.sees)
             raise InadmissibleError(place=place, expected=expected, got=got)
         return made
 

@@ -1,7 +1,7 @@
 """Run a predictor: at each tick it gives the hands at the end of the horizon, and a set for each.
 
 The predictor is called like a controller, before the visual servo.  It replaces the Kalman filter of the
-servo, and the gate's ``every hand within`` uses its sets.
+servo, and the gate's ``every hand in its set`` uses its sets.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.elementary import power
 from safety_harness.base.exceptions import ControllerError, described, printable
 from safety_harness.base.settings import Settings
 from safety_harness.base.special import normal_quantile
@@ -32,6 +33,7 @@ from safety_harness.trace.records import predicted_dtype
 
 Floats = NDArray[np.float64]
 KALMAN_FILTER = "kalman filter"
+SETS = ("radius_m", "half_widths_m", "ellipsoid_m2")  # of a HandSet
 CONFIDENCE = 0.95  # of the sets of the Kalman filter
 
 
@@ -113,15 +115,13 @@ def _hands_of(answer: object, most: int) -> tuple[HandSet, ...]:
 
 def _shape_of(hand: HandSet) -> Floats:
     """Return S (3, 3) [m^2] of a hand's set, as PREDICTED has it; ControllerError if the set is invalid."""
-    given = [
-        name for name in ("radius_m", "half_widths_m", "ellipsoid_m2") if getattr(hand, name) is not None
-    ]
+    given = [name for name in SETS if getattr(hand, name) is not None]
     if len(given) != 1:
         got = " and ".join(given) or "none"
         raise ControllerError(f"act predicted a hand whose set is not one of ball, box and ellipsoid: {got}")
     if hand.ellipsoid_m2 is not None:
         shape = _finite("ellipsoid_m2", hand.ellipsoid_m2, (3, 3))
-        if not np.array_equal(shape, shape.T) or not (np.linalg.eigvalsh(shape) > 0.0).all():
+        if not (np.array_equal(shape, shape.T) and _is_positive_definite(shape)):
             raise ControllerError("act predicted an ellipsoid_m2 that is not symmetric and positive definite")
         return shape
     name, size = given[0], () if hand.radius_m is not None else (3,)
@@ -129,6 +129,17 @@ def _shape_of(hand: HandSet) -> Floats:
     if not (widths > 0.0).all():
         raise ControllerError(f"act predicted a {name} that is not positive: {widths.tolist()}")
     return np.asarray(np.diag(np.broadcast_to(widths * widths, 3)))
+
+
+def _is_positive_definite(s: Floats) -> bool:
+    """Return whether the leading minors of a symmetric matrix (3, 3) are positive (Sylvester's criterion)."""
+    second = s[0, 0] * s[1, 1] - s[0, 1] * s[0, 1]
+    third = (
+        s[2, 2] * second
+        - s[1, 2] * (s[0, 0] * s[1, 2] - s[0, 1] * s[0, 2])
+        + s[0, 2] * (s[0, 1] * s[1, 2] - s[0, 2] * s[1, 1])
+    )
+    return bool(s[0, 0] > 0.0 and second > 0.0 and third > 0.0)
 
 
 def _finite(name: str, value: object, shape: tuple[int, ...]) -> Floats:
@@ -151,7 +162,7 @@ class KalmanFilter:
 
     def reset(self, *, settings: Settings, arm: DrivenArm, start: Start, seed: int) -> None:
         """Begin an episode; nothing is kept."""
-        self._deviations = normal_quantile(0.5 + 0.5 * CONFIDENCE ** (1.0 / 3.0))
+        self._deviations = normal_quantile(0.5 + 0.5 * power(CONFIDENCE, 1.0 / 3.0))
 
     def act(self, seen: Seen) -> Any:
         """Return the Kalman filter's hands with their boxes."""

@@ -104,11 +104,30 @@ def _gauges(trace: Trace) -> NDArray[np.float64]:
         off_m = true_m[there] - ticks["predicted_hand_in_base_m"][there, track][:, None]
         shape_m2 = sets["shape_m2"][there, track]
         widths_m = np.sqrt(np.diagonal(shape_m2, axis1=1, axis2=2))[:, None]
-        solved = np.linalg.solve(shape_m2[:, None], off_m[..., None])[..., 0]
-        round_ = np.sqrt(np.maximum((off_m * solved).sum(axis=2), 0.0))
-        own = np.where(sets["box"][there, track][:, None], np.abs(off_m / widths_m).max(axis=2), round_)
+        in_box = np.abs(off_m / widths_m).max(axis=2)
+        own = np.where(sets["box"][there, track][:, None], in_box, _in_ellipsoids(shape_m2, off_m))
         gauges[there] = np.minimum(gauges[there], own)
     return gauges
+
+
+def _in_ellipsoids(shape_m2: NDArray[np.float64], off_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (k, hands) the gauges sqrt(d' S^-1 d) of ``off_m`` (k, hands, 3) by ``shape_m2`` (k, 3, 3).
+
+    The inverse by cofactors has the same bits on each machine, which a solver from a library has not.
+    """
+    s, (x, y, z) = shape_m2, np.moveaxis(off_m, 2, 0)
+    xx, yy, zz = (
+        s[:, 1, 1] * s[:, 2, 2] - s[:, 1, 2] * s[:, 1, 2],
+        s[:, 0, 0] * s[:, 2, 2] - s[:, 0, 2] * s[:, 0, 2],
+        s[:, 0, 0] * s[:, 1, 1] - s[:, 0, 1] * s[:, 0, 1],
+    )
+    xy = s[:, 0, 2] * s[:, 1, 2] - s[:, 0, 1] * s[:, 2, 2]
+    xz = s[:, 0, 1] * s[:, 1, 2] - s[:, 0, 2] * s[:, 1, 1]
+    yz = s[:, 0, 1] * s[:, 0, 2] - s[:, 0, 0] * s[:, 1, 2]
+    det = (s[:, 0, 0] * xx + s[:, 0, 1] * xy + s[:, 0, 2] * xz)[:, None]
+    own = xx[:, None] * x * x + yy[:, None] * y * y + zz[:, None] * z * z
+    mixed = xy[:, None] * x * y + xz[:, None] * x * z + yz[:, None] * y * z
+    return np.asarray(np.sqrt(np.maximum((own + 2.0 * mixed) / det, 0.0)))
 
 
 def _size_words(trace: Trace, tick: int) -> str:
