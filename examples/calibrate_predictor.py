@@ -26,7 +26,7 @@ without: [claims]
 hand sensor: {{kind: surround}}
 predictor: {PREDICTOR}:ConstantAcceleration
 claims:
-  predicted sets hold each hand that has been there for 200 ms, at a drawn instant: holds
+  predicted sets of at most 400 mm hold each hand that has been there for 200 ms, at a drawn instant: holds
 """
 
 

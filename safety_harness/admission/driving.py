@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from safety_harness.admission.avoiders import avoider_sha256, folder_of
-from safety_harness.base.exceptions import AvoiderError, ControllerError, InadmissibleError, Place
+from safety_harness.admission.avoiders import BESIDE, avoider_sha256, folder_of, is_a_program
+from safety_harness.base.exceptions import AvoiderError, ControllerError, InadmissibleError, Place, TraceError
 from safety_harness.base.settings import ImageSource
 from safety_harness.cell.avoidance.avoider import Avoider, Proposal, Vector
 from safety_harness.cell.controller.named import (
@@ -37,6 +37,7 @@ from safety_harness.seams.contract import (
 )
 from safety_harness.trace.records import TRACKS_PER_HAND
 from safety_harness.trace.system import Component, SystemUnderTest, system_of
+from safety_harness.trace.trace import Trace
 
 IN_PYTHON = " (an object in Python)"  # added to its name, as a reference without a file
 
@@ -199,6 +200,29 @@ def refuse_unusable_predictor(scenario: Scenario) -> None:
         hint = f"name the class in it as well: {reference}:NAME" if reference.endswith(".py") else ""
         raise InadmissibleError(place=place, expected=expected, got=repr(reference), hint=hint)
     refuse_unusable_controller(reference, folder_of(scenario), place)
+
+
+def refuse_other_parts(trace: Trace, scenario: Scenario, file: Path | None = None) -> None:
+    """Raise TraceError if a part in ``BESIDE`` differs from the trace's, by its name or its file's hash.
+
+    Args:
+        trace: The trace, from ``file``.
+        scenario: Its scenario with the parts that the user named again.
+        file: The file of the trace, for the error.
+
+    """
+    for name in BESIDE:
+        then, reference = trace.system.parts.get(name), getattr(scenario, name)
+        if then is None or not is_a_program(reference):
+            continue
+        named = {file_and_name(getattr(each, name))[1] for each in (trace.scenario, scenario)}
+        sha256 = controller_sha256(reference, folder_of(scenario))
+        if len(named) > 1 or then.sha256 not in ("", sha256):
+            raise TraceError(
+                place=Place(file=file, field=name.replace("_", " ")),
+                expected=f"{then}, as then",
+                got=f"{reference} (sha256 {sha256[:12]}...)",
+            )
 
 
 def named_system(scenario: Scenario) -> SystemUnderTest:

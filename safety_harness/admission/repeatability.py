@@ -127,7 +127,7 @@ class DrivenRun:
     """A run that may be repeated: its name and world, a hash of its commands and angles, and a file's hash.
 
     ``controller_sha256`` is the hash of the controller's or avoider's file.  If ``asks``, the visual servo
-    drove the run and asked the avoider in that file.
+    drove the run and asked the avoider in that file.  ``parts`` are the references of the system's parts.
     """
 
     run: str
@@ -135,6 +135,7 @@ class DrivenRun:
     sha256: str
     controller_sha256: str
     asks: bool = False
+    parts: tuple[str, ...] = ()
 
 
 def driven_in(trace: Trace) -> DrivenRun | None:
@@ -148,11 +149,12 @@ def driven_in(trace: Trace) -> DrivenRun | None:
         return None
     commands = trace.ticks["demanded_joint_velocity_radps"].tobytes()
     commands += trace.decisions["proposed_position_in_base_m"].tobytes()
+    commands += trace.predicted["shape_m2"].tobytes() + trace.predicted["box"].tobytes()
     digest = hashlib.sha256(commands + trace.ticks["joint_position_rad"].tobytes()).hexdigest()
     beside = (trace.system.safety_filter, trace.system.predictor)
     sha256 = trace.system.tested.sha256 + "".join(part.sha256 for part in beside if part is not None)
     asks = not (scenario.driven or scenario.has_parts_beside)
-    return DrivenRun(scenario.name, trace.provenance.world, digest, sha256, asks)
+    return DrivenRun(scenario.name, trace.provenance.world, digest, sha256, asks, scenario.parts_under_test)
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,16 +216,20 @@ class Repeatability:
             self._driven = self._drawn_runs()
 
     def _drawn_runs(self) -> list[tuple[DrivenRun, Callable[[], Scenario]]]:
-        """Return the sample of runs."""
-        return nsmallest(MOST_RUNS, self._driven, key=lambda item: item[0].sha256)
+        """Return the sample of runs, in which the first ones are of different systems."""
+        ordered = sorted(self._driven, key=lambda item: item[0].sha256)
+        firsts = {run.parts: run for run, _ in reversed(ordered)}
+        first = [item for item in ordered if item[0] == firsts[item[0].parts]]
+        return [*first, *(item for item in ordered if item not in first)][: max(MOST_RUNS, len(first))]
 
     def _drive_again(self, allowed_s: float) -> RepeatabilityResult:
         """Repeat a sample of the runs for ``allowed_s`` seconds, but at least LEAST_RUNS runs."""
         begun_s, again, texts = time.monotonic(), 0, list[str]()
         of_avoider = bool(self._driven) and all(run.asks for run, _ in self._driven)
         result = DrivenAgain(questions=self._runs, of_avoider=of_avoider)
+        least = max(LEAST_RUNS, len({run.parts for run, _ in self._driven}))
         for run, scenario in self._drawn_runs():
-            if again >= LEAST_RUNS and time.monotonic() - begun_s > allowed_s:
+            if again >= least and time.monotonic() - begun_s > allowed_s:
                 break
             try:
                 chosen = scenario()

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from safety_harness.admission.admit import Admitted, admit
-from safety_harness.admission.avoiders import BESIDE, with_program
+from safety_harness.admission.avoiders import with_program
+from safety_harness.admission.driving import refuse_other_parts
 from safety_harness.admission.repeatability import MOST, Repeatability
 from safety_harness.admission.trial import run_trial
 from safety_harness.base.exceptions import InputError, Place, TraceError
@@ -55,8 +56,7 @@ def replay(path: Path, avoider: str | None = None, world: str | None = None, **b
     entry = world_of_trace(made_in)
     admitted = admit(with_program(stored.scenario, avoider, path, beside=beside))
     _refuse_other(stored, admitted, path)
-    for field in BESIDE:
-        _refuse_other_part(stored, admitted, path, field)
+    refuse_other_parts(stored, admitted.scenario, path)
     with watching_runs([stored.scenario], TERMINAL) as progress:
         progress.begin(0)
         fresh = run_trial(admitted, world=entry, recorded=stored, on_tick=progress.tick)
@@ -106,22 +106,6 @@ def _refuse_other(stored: Trace, admitted: Admitted, path: Path) -> None:
     if then.name != now.name or differs or (known and known != now.sha256):
         place = Place(file=path, field="controller")
         raise TraceError(place=place, expected=f"{then}, which drove then", got=_named(now, admitted))
-
-
-def _refuse_other_part(stored: Trace, admitted: Admitted, path: Path, field: str) -> None:
-    """Raise TraceError if the part ``field`` differs from the trace's, by its name or by its file's hash."""
-    then, now = stored.system.parts.get(field), getattr(admitted, field)
-    if then is None or now is None:
-        return
-    differs = then.name != now.component.name or then.sha256 not in ("", now.sha256)
-    names = (file_and_name(getattr(case.scenario, field))[1] for case in (stored, admitted))
-    if differs or len({*names}) > 1:
-        place = Place(file=path, field=field.replace("_", " "))
-        raise TraceError(
-            place=place,
-            expected=f"{then}, as then",
-            got=f"{now.component}, {getattr(admitted.scenario, field)}",
-        )
 
 
 def _named(now: Component, admitted: Admitted) -> str:

@@ -128,14 +128,16 @@ def _print_summary(finished: RunResult, verbose: bool) -> None:
 
 def _say_next(runs: Sequence[JudgedRun], out: Path) -> None:
     """Print what to run next: an attribution of each avoider's violations, or else a view of the runs."""
-    unexpected: dict[str, list[JudgedRun]] = {}
+    unexpected: dict[tuple[str, ...], list[JudgedRun]] = {}
     for run in runs:
         if any(
             evaluation.verdict is Verdict.VIOLATED
             and (len(runs) == 1 or claim.given(evaluation.margin) is Verdict.HOLDS)
             for claim, evaluation in run.judged_claims()
         ):
-            unexpected.setdefault(command_line_reference(run.trace.scenario), []).append(run)
+            scenario = run.trace.scenario
+            system = command_line_reference(scenario), *scenario.parts_under_test[1:]
+            unexpected.setdefault(system, []).append(run)
     for violated in unexpected.values():
         files = [run.trace_file for run in violated if run.trace_file is not None]
         command = replay_command(violated[0].trace.scenario, *files, verb="attribute", shown_path=Path)

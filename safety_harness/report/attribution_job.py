@@ -9,6 +9,7 @@ from pathlib import Path
 
 from safety_harness.admission.admit import Admitted, Admitter
 from safety_harness.admission.avoiders import one_of, with_avoider, with_program
+from safety_harness.admission.driving import refuse_other_parts
 from safety_harness.admission.trial import judge
 from safety_harness.base.exceptions import InputError, Place, ScenarioError, described
 from safety_harness.base.input_errors import InputErrors, each_once, usable
@@ -242,6 +243,7 @@ def _violated(
     """Return the scenario of a trace with only the claims that the trace violates."""
     refuse_not_simulated(trace, path)
     scenario = with_program(trace.scenario, avoider, path, "attribute", beside)
+    refuse_other_parts(trace, scenario, path)
     evaluations = judge(trace, file=path)
     claims = tuple(
         replace(claim, expected=Verdict.VIOLATED)

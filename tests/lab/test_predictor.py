@@ -27,7 +27,7 @@ from safety_harness.trace.trace import Trace
 from tests.assurance.statistics.streams import violations
 from tests.cli.test_own_controller import command
 
-HELD = "predicted sets hold each hand that has been there for 200 ms, at a drawn instant"
+HELD = "predicted sets of at most 400 mm hold each hand that has been there for 200 ms, at a drawn instant"
 PREDICTORS = """
 import json
 import sys
@@ -78,6 +78,16 @@ class Nobody(Ball):
 class Remembers(Ball):
     def set_of(self, number, position):
         return HandSet(position_in_base_m=position + 0.1 * Ball.episodes, number=number, radius_m=0.25)
+
+
+class Grows(Ball):
+    def set_of(self, number, position):
+        return HandSet(position_in_base_m=position, number=number, radius_m=0.1 * Ball.episodes)
+
+
+class Millimetres(Ball):
+    def set_of(self, number, position):
+        return HandSet(position_in_base_m=position, number=number, radius_m=250.0)
 
 
 class NotANumber(Ball):
@@ -282,6 +292,8 @@ def test_the_claim_catches_sets_that_are_too_small_and_hands_that_are_not_expect
     nobody = held(run_with("mine.py:Nobody"))
     assert (nobody.verdict, nobody.margin) == (Verdict.VIOLATED, -1.0)
     assert "no set" in nobody.reason
+    millimetres = held(run_with("mine.py:Millimetres"))
+    assert (millimetres.verdict, millimetres.margin) == (Verdict.VIOLATED, -1.0)
     unjudged = held(without)
     assert (unjudged.verdict, unjudged.reason) == (Verdict.INCONCLUSIVE, "the scenario has no predictor")
 
@@ -377,12 +389,22 @@ def test_many_runs_equal_single_runs(ball: Trace) -> None:
         assert_equal_ticks(ball, trace)
 
 
-def test_a_memory_of_earlier_episodes_is_noticed() -> None:
-    admitted = admit(scenario("mine.py:Remembers"))
+@pytest.mark.parametrize("name", ["Remembers", "Grows"])
+def test_a_memory_of_earlier_episodes_is_noticed(name: str) -> None:
+    admitted = admit(scenario(f"mine.py:{name}"))
     repeatability = Repeatability()
     for _ in range(2):
         repeatability.add(run_kinematic(admitted))
     assert "or its predictor" in repeatability.check().problem
+
+
+def test_of_many_predictors_each_is_repeated() -> None:
+    repeatability = Repeatability()
+    traces = [run_with(f"mine.py:{name}", SHORT) for name in ("Ball", "Box", "Tiny", "Nobody", "Ellipsoid")]
+    for trace in [*traces, *traces]:
+        repeatability.add(trace)
+    result = repeatability.check()
+    assert (result.asked >= 5, result.problem) == (True, "")
 
 
 def test_traces_keep_the_sets_and_refuse_lost_ones(ball: Trace, tmp_path: Path) -> None:
@@ -417,6 +439,8 @@ def test_run_replay_and_attribute_name_the_predictor() -> None:
     assert command("replay", trace, "--predictor", "mine.py:Ball").exit_code == 2
     attributed = command("attribute", trace, "--predictor", "mine.py:Tiny")
     assert attributed.exit_code == 0
+    other = command("attribute", trace, "--predictor", "mine.py:Ball")
+    assert (other.exit_code, "as then" in other.output) == (2, True)
     Path("mine.py").write_text(PREDICTORS + "\n# edited\n")
     edited = command("replay", trace, "--predictor", "mine.py:Tiny")
     assert edited.exit_code == 2

@@ -415,6 +415,8 @@ def test_run_replay_and_attribute_name_the_filter() -> None:
     edited = command("replay", trace, "--safety-filter", "filters.py:Halves")
     assert edited.exit_code == 2
     assert "as then" in edited.output
+    assert command("attribute", trace, "--safety-filter", "filters.py:Halves").exit_code == 2
+    Path("filters.py").write_text(FILTERS)
     assert command("attribute", trace, "--safety-filter", "filters.py:Halves").exit_code == 0
 
 

@@ -75,7 +75,7 @@ class PredictorCalls(DrivenController):
             hands = _hands_of(self.user.act(self._seen_now()), len(tracks))
             self._write(hands, state[0], tracks)
         except ControllerError as error:
-            raise self.failed(str(error)) from error
+            raise self.failed(str(error).replace("no Move and no Stop", "no Predicted")) from error
         except (Exception, SystemExit) as error:  # a user's code may raise anything
             raise self.failed(f"act raised: {described(error)}") from error
         self.question["tick"] += 1

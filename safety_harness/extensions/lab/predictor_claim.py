@@ -31,13 +31,17 @@ class HeldBySets(Worded):
 
     The gauge of a hand is 0 at a set's centre, 1 on its surface, and proportional on each ray. A prediction
     at time t is for t plus the horizon. The true hands at that time are interpolated linearly between two
-    ticks. An instant can be drawn if a hand has been there for ``since_s``, and only such hands count.
+    ticks. A set with a half width above ``most_m`` along an axis of the base holds no hand, since a set of
+    the whole room would hold each. An instant can be drawn if a hand has been there for ``since_s``, and only
+    such hands count.
     """
 
+    most_m: float
     since_s: float
     unit: Unit = Unit.FRACTION
     wording: ClassVar[str] = (
-        "predicted sets hold each hand that has been there for {since_s:ms}, at a drawn instant"
+        "predicted sets of at most {most_m:mm} hold each hand that has been there for {since_s:ms}, "
+        "at a drawn instant"
     )
 
     @reads(HANDS, also=["track_valid", "predicted_hand_in_base_m"])
@@ -47,7 +51,7 @@ class HeldBySets(Worded):
             return inconclusive(self, "the scenario has no predictor")
         if not trace.scenario.hands:
             return unexercised(self, no_hand(trace))
-        gauges = _gauges(trace)  # (k, hands)
+        gauges = _gauges(trace, self.most_m)  # (k, hands)
         counts = self._counts(trace, len(gauges))
         instants = np.flatnonzero(counts.any(axis=1))
         if len(instants) == 0:
@@ -86,9 +90,10 @@ def _ends_of_horizon(trace: Trace) -> tuple[NDArray[np.int64], NDArray[np.int64]
     return start, start + (part > 0.0), part
 
 
-def _gauges(trace: Trace) -> NDArray[np.float64]:
+def _gauges(trace: Trace, most_m: float) -> NDArray[np.float64]:
     """Return (k, hands) the least gauge of each true hand over the sets for its time; infinite without a set.
 
+    Sets with a half width above ``most_m`` do not count.
     k is the number of ticks whose predictions are for times within the trace.
     """
     ticks, sets = trace.ticks, trace.predicted
@@ -106,6 +111,7 @@ def _gauges(trace: Trace) -> NDArray[np.float64]:
         widths_m = np.sqrt(np.diagonal(shape_m2, axis1=1, axis2=2))[:, None]
         in_box = np.abs(off_m / widths_m).max(axis=2)
         own = np.where(sets["box"][there, track][:, None], in_box, _in_ellipsoids(shape_m2, off_m))
+        own = np.where(widths_m.max(axis=2) <= most_m, own, np.inf)
         gauges[there] = np.minimum(gauges[there], own)
     return gauges
 
@@ -152,13 +158,14 @@ def _lateness(trace: Trace, gauges: NDArray[np.float64]) -> str:
 
 
 HELD_BY_SETS = CatalogueEntry(
-    prop=HeldBySets(since_s=0.2),
+    prop=HeldBySets(most_m=0.4, since_s=0.2),
     rationale="a controller that keeps out of a predicted set relies on the hand being in it",
     source="split conformal prediction: the coverage of a set is a share of independent cases",
     margin="(1 - g)/(1 + g) with the gauge g of the hand in its nearest set (0 at the centre, 1 on the "
     "surface), least over the hands at the drawn instant; -100 % for a hand without a set, also if the "
     "sensor does not see it",
-    parameters="how long a hand has been there before it counts; the prediction horizon in the settings",
+    parameters="the greatest half width of a set that counts; how long a hand has been there before it "
+    "counts; the prediction horizon in the settings",
     exercised="a hand has been there for so long, and still is at the end of the horizon, within the run",
     inconclusive="the scenario has no predictor",
     broken_by="a predictor whose sets are too small, or that loses the hand",

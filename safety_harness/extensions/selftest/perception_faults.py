@@ -66,6 +66,14 @@ def _swapped(admitted: Admitted, weight: float, observation: Records) -> None:
     boxes[:, U], boxes[:, V] = c_u + (1 - weight) * u + weight * v, c_v + (1 - weight) * v + weight * u
 
 
+# They are in the visual servo's Kalman filter, which a scenario's predictor replaces.
+OF_KALMAN_FILTER = (
+    "filter that never learns velocity",
+    "filter that trusts itself",
+    "prediction into the past",
+)
+
+
 @of_perception("filter that never learns velocity", "a fast hand seems to stand still")
 @seeded(known, (1.0, 0.9999, 0.99), "% of the rates' variance lost", 100.0)
 def _no_velocity(records: ControllerRecords, share: float) -> None:

@@ -17,6 +17,7 @@ from safety_harness.claims.properties.shield_theorem import REFUTED
 from safety_harness.claims.properties.touching import theorem_bits
 from safety_harness.extensions.selftest.fault import BEHIND_A_SHIELD, SeededFault
 from safety_harness.extensions.selftest.geometry import Kept, hand_distance_kept
+from safety_harness.extensions.selftest.perception_faults import OF_KALMAN_FILTER
 from safety_harness.extensions.selftest.suite import claims_of
 from safety_harness.extensions.selftest.system import ChangedSystem
 from safety_harness.scenario.model import Verdict
@@ -118,10 +119,13 @@ class FaultTrials:
         A fault of the spread applies only to an avoider with a spread. If a controller replaces the visual
         servo, faults of the avoider, the gate and the servo's own records do not apply. Faults of our shield
         apply only without a user's safety filter, and faults of a filter only with one.
+        Faults of the Kalman filter do not apply where a predictor replaces it.
         """
         filtered = any(episode.safety_filter is not None for episode in self.episodes)
         if fault.of_filter or (filtered and fault.circumstance.name == BEHIND_A_SHIELD):
             return filtered and fault.of_filter
+        if fault.name in OF_KALMAN_FILTER and any(episode.predictor is not None for episode in self.episodes):
+            return False
         if not self._all_servo:
             return self._touches_any(fault)
         if not fault.of_spread:
