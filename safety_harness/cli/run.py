@@ -34,13 +34,13 @@ from safety_harness.report.decisions import (
     possible_lines,
 )
 from safety_harness.report.evidence import JudgedRun, answer
-from safety_harness.report.limiting import limit_lines
 from safety_harness.report.run_job import run as run_scenarios
 from safety_harness.report.run_result import DATA, REPORT, TRACES, RunResult
 from safety_harness.report.shielding import shield_lines
 from safety_harness.report.verdict_lines import block_of, surprise_lines
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.answer_times import UNHEEDED
+from safety_harness.trace.limiting import limit_lines
 
 
 def run(

@@ -13,10 +13,10 @@ from safety_harness.base.distribution import installed_version
 from safety_harness.base.whole_file import write_whole
 from safety_harness.claims.properties.base import Evaluation
 from safety_harness.report.evidence import JudgedRun, answer, basis_of
-from safety_harness.report.limiting import limit_lines
 from safety_harness.report.words import margin_words, tested_words
 from safety_harness.scenario.files import display_path
 from safety_harness.scenario.model import Claim, Verdict
+from safety_harness.trace.limiting import limit_lines
 
 SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 SUMMARY, SARIF = "summary.md", "report.sarif"

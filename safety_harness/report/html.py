@@ -41,7 +41,6 @@ from safety_harness.report.evidence import (
     with_defaults,
 )
 from safety_harness.report.knowledge import measured_rows
-from safety_harness.report.limiting import limit_lines
 from safety_harness.report.machine import refused_data
 from safety_harness.report.page_parts import MOST_OPEN, added_sections, render_page
 from safety_harness.report.path_views import MOST_NUMBERS, path_views, shown_moment, widest_view
@@ -61,6 +60,7 @@ from safety_harness.scenario.faults import fault_words
 from safety_harness.scenario.files import as_path
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.write import write_scenario
+from safety_harness.trace.limiting import limit_lines
 from safety_harness.trace.records import Limit
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import as_measured, decided, measured

@@ -26,9 +26,9 @@ from safety_harness.report.decisions import (
 )
 from safety_harness.report.evidence import AboutRuns, JudgedRun, basis_of, tallies, with_defaults
 from safety_harness.report.knowledge import known_data
-from safety_harness.report.limiting import limited_data
 from safety_harness.report.shielding import shield_data
 from safety_harness.scenario.files import display_path
+from safety_harness.trace.limiting import limited_data
 from safety_harness.trace.overruling import Overruling, is_measured
 
 FORMAT = "safety-harness report 1"

@@ -140,6 +140,8 @@ def fuzz(
         output.say(evidence.faults.summary)
     if session.trials.times.summary:
         output.say(f"computing time: {session.trials.times.summary}")
+    for line in session.trials.limited.lines:
+        output.say(f"limits: {line}")
     return SearchResult(session, evidence, session.interrupted)
 
 

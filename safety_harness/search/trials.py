@@ -51,6 +51,7 @@ from safety_harness.search.cube import Point, Points
 from safety_harness.search.findings import RUN_FAILED, Goal, Outcomes
 from safety_harness.space.space import ScenarioSpace, each_to_hold
 from safety_harness.trace.answer_times import AnswersTook
+from safety_harness.trace.limiting import LimitTally
 from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.system import NOT_NOTED, SystemUnderTest
 from safety_harness.trace.trace import Trace
@@ -165,6 +166,7 @@ class Trials:
     repeatability: Repeatability = field(default_factory=Repeatability, init=False)
     tried: TriedParts = field(default_factory=TriedParts, init=False)
     times: AnswersTook = field(default_factory=AnswersTook, init=False)
+    limited: LimitTally = field(default_factory=LimitTally, init=False)
     _admitter: Admitter = field(default_factory=Admitter, init=False)
 
     def __post_init__(self) -> None:
@@ -271,6 +273,7 @@ class Trials:
             self.repeatability.add(trace)
             self.tried.add(trace)
             self.times += AnswersTook.from_trace(trace)
+            self.limited.add(trace)
             self.unanswered += int(np.count_nonzero(unanswered(trace)))
             self.overruling += Overruling.from_traces([trace])
             own = reference is None or not fault_of(reference)

@@ -30,8 +30,8 @@ from safety_harness.cell.simulation.truth import cell_capsules
 from safety_harness.claims.properties.base import Evaluation, Unit, Worded, inconclusive, judged
 from safety_harness.claims.properties.entry import CatalogueEntry
 from safety_harness.claims.properties.measured import reads, unexercised
-from safety_harness.report.limiting import changed_by_filter, overridden_stops
 from safety_harness.scenario.shield import Shield
+from safety_harness.trace.limiting import changed_by_filter, overridden_stops
 from safety_harness.trace.trace import Trace
 
 JOINTS, HANDS, ELBOWS = "joint_position_rad", "hand_position_in_base_m", "elbow_position_in_base_m"

@@ -10,9 +10,9 @@ from safety_harness.admission.trial import judge, run_kinematic
 from safety_harness.cell.controller.stop_when_near import StopWhenNear
 from safety_harness.report.ci_formats import markdown
 from safety_harness.report.evidence import JudgedRun
-from safety_harness.report.limiting import limit_lines, limited_data
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.seams.contract import Move, Seen
+from safety_harness.trace.limiting import limit_lines, limited_data
 from safety_harness.trace.trace import Trace
 
 TEXT = """

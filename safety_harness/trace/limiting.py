@@ -21,7 +21,7 @@ LIMIT_NAMES = {
 }
 BY_FILTER = "safety filter"
 SPEEDS = {LIMIT_NAMES[Limit.TCP_SPEED], LIMIT_NAMES[Limit.JOINT_SPEED]}
-OFTEN = 0.5  # a share of commands at a limit of speed from which the scale of the actions is in doubt
+OFTEN = 0.15  # a share of commands at a limit of speed from which the scale of the actions is in doubt
 
 
 def limited_commands(trace: Trace) -> Counter[str] | None:
@@ -53,31 +53,46 @@ def limited_data(trace: Trace) -> dict[str, Any] | None:
     return {"commands": int(_moving(trace).sum()), "limited": counts[""], "by_limit": by_limit}
 
 
-def limit_lines(traces: Iterable[Trace]) -> list[str]:
-    """Return a line for each user's controller whose commands a limit changed, with a hint if often.
+class LimitTally:
+    """How often limits changed the commands of each user's controller, and each safety filter its commands.
 
-    The visual servo has no line, because it relies on the limit of the TCP's speed. Each safety filter has a
-    line with the number of commands that it changed.
+    The visual servo is left out, because it relies on the limit of the TCP's speed.
     """
-    commands: Counter[str] = Counter()
-    limited: dict[str, Counter[str]] = {}
-    changed: dict[str, NDArray[np.int64]] = {}
-    for trace in traces:
+
+    def __init__(self) -> None:
+        self._commands: Counter[str] = Counter()
+        self._limited: dict[str, Counter[str]] = {}
+        self._changed: dict[str, NDArray[np.int64]] = {}
+
+    def add(self, trace: Trace) -> None:
+        """Count the commands of a run."""
         part = trace.system.safety_filter
         if part is not None and not trace.known.missing(["limits"]):
             own = np.array([changed_by_filter(trace).sum(), len(trace.ticks), overridden_stops(trace)])
-            changed[part.name] = changed.get(part.name, np.zeros(3, np.int64)) + own
+            self._changed[part.name] = self._changed.get(part.name, np.zeros(3, np.int64)) + own
         counts = limited_commands(trace) if trace.scenario.driven else None
         if counts is not None:
             name = trace.system.controller.name
-            commands[name] += int(_moving(trace).sum())
-            limited.setdefault(name, Counter()).update(counts)
-    lines = [_line(name, counts, commands[name]) for name, counts in limited.items() if counts[""]]
-    return lines + [
-        f"{BY_FILTER} {name}: changed {count:,} of {of_all:,} commands ({share_words(count, of_all)})"
-        + (f", and overrode {stops:,} protective stops of the controller" if stops else "")
-        for name, (count, of_all, stops) in ((name, row.tolist()) for name, row in changed.items())
-    ]
+            self._commands[name] += int(_moving(trace).sum())
+            self._limited.setdefault(name, Counter()).update(counts)
+
+    @property
+    def lines(self) -> list[str]:
+        """A line for each controller with limited commands, with a hint if often, and for each filter."""
+        limited = [_line(name, n, self._commands[name]) for name, n in self._limited.items() if n[""]]
+        return limited + [
+            f"{BY_FILTER} {name}: changed {count:,} of {of_all:,} commands ({share_words(count, of_all)})"
+            + (f", and overrode {stops:,} protective stops of the controller" if stops else "")
+            for name, (count, of_all, stops) in ((name, row.tolist()) for name, row in self._changed.items())
+        ]
+
+
+def limit_lines(traces: Iterable[Trace]) -> list[str]:
+    """Return the lines of ``LimitTally`` on the runs."""
+    tally = LimitTally()
+    for trace in traces:
+        tally.add(trace)
+    return tally.lines
 
 
 def overridden_stops(trace: Trace) -> int:
