@@ -76,12 +76,12 @@ class GateRule:
         "99 %",
         default=None,
     )
-    hands_in_sets: YesNo = key(
+    hands_in_sets: YesNo | None = key(
         "every hand in its set",
         Word(YesNo),
         "the way leads away from every place in the sets of the scenario's [predictor](how-to/predictor.md)",
         "yes",
-        default=YesNo.NO,
+        default=None,
     )
     questions_within: AskedRegion | None = key(
         "questions within",
