@@ -174,16 +174,32 @@ def _filtered(trace: Trace) -> Iterator[Inconsistency]:
 
 
 def _predicted(trace: Trace) -> Iterator[Inconsistency]:
-    """Check that each predicted hand has a set of a positive and finite size along each axis."""
+    """Check that each predicted hand has a set, whose matrix is symmetric and positive definite."""
     if not trace.scenario.predictor or trace.known.missing(["track_valid"]):
         return
     sets, there = trace.predicted, trace.ticks["track_valid"]
     if len(sets) != len(there):
         yield Inconsistency("track_valid", "trace", len(sets), f"sets of {len(there)} ticks", str(len(sets)))
         return
-    squares_m2 = np.diagonal(sets["shape_m2"], axis1=2, axis2=3)
-    sound = (np.isfinite(squares_m2) & (squares_m2 > 0.0)).all(axis=2)
-    yield from at_first((there & ~sound).any(axis=1), "track_valid", "tick", "a set for each hand", there)
+    bad = np.asarray((there & ~are_positive_definite(sets["shape_m2"])).any(axis=1))
+    yield from at_first(bad, "track_valid", "tick", "a set for each hand", there)
+
+
+def are_positive_definite(shapes: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return (...) whether ``shapes`` (..., 3, 3) are finite, symmetric and positive definite.
+
+    Positive leading minors decide (Sylvester's criterion), which have the same bits on each machine.
+    """
+    s = np.moveaxis(shapes, (-2, -1), (0, 1))
+    with np.errstate(all="ignore"):  # a stored trace may have any numbers
+        second = s[0, 0] * s[1, 1] - s[0, 1] * s[0, 1]
+        third = (
+            s[2, 2] * second
+            - s[1, 2] * (s[0, 0] * s[1, 2] - s[0, 1] * s[0, 2])
+            + s[0, 2] * (s[0, 1] * s[1, 2] - s[0, 2] * s[1, 1])
+        )
+    symmetric = (s == s.swapaxes(0, 1)).all(axis=(0, 1))
+    return np.asarray(symmetric & np.isfinite(third) & (s[0, 0] > 0.0) & (second > 0.0) & (third > 0.0))
 
 
 def _times_s(scenario: Scenario, fault: Fault) -> tuple[float, float]:

@@ -416,6 +416,9 @@ def test_traces_keep_the_sets_and_refuse_lost_ones(ball: Trace, tmp_path: Path) 
     lost = ball.predicted.copy()
     lost["shape_m2"] = 0.0
     assert first_inconsistency(replace(ball, predicted=lost)) is not None
+    forged = ball.predicted.copy()  # every hand would have the gauge 0 in it
+    forged["shape_m2"][:] = [[0.01, 0.02, 0.0], [0.02, 0.01, 0.0], [0.0, 0.0, 0.01]]
+    assert first_inconsistency(replace(ball, predicted=forged)) is not None
     save_trace(replace(ball, predicted=ball.predicted[:-1].copy()), tmp_path / "b.trace")
     with pytest.raises(TraceError, match="one a tick"):
         load_trace(tmp_path / "b.trace")

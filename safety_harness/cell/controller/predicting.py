@@ -29,6 +29,7 @@ from safety_harness.seams.contract import (
     Start,
     UserController,
 )
+from safety_harness.trace.consistency import are_positive_definite
 from safety_harness.trace.records import predicted_dtype
 
 Floats = NDArray[np.float64]
@@ -121,25 +122,17 @@ def _shape_of(hand: HandSet) -> Floats:
         raise ControllerError(f"act predicted a hand whose set is not one of ball, box and ellipsoid: {got}")
     if hand.ellipsoid_m2 is not None:
         shape = _finite("ellipsoid_m2", hand.ellipsoid_m2, (3, 3))
-        if not (np.array_equal(shape, shape.T) and _is_positive_definite(shape)):
+        if not (np.array_equal(shape, shape.T) and are_positive_definite(shape)):
             raise ControllerError("act predicted an ellipsoid_m2 that is not symmetric and positive definite")
         return shape
     name, size = given[0], () if hand.radius_m is not None else (3,)
     widths = _finite(name, getattr(hand, name), size)
     if not (widths > 0.0).all():
         raise ControllerError(f"act predicted a {name} that is not positive: {widths.tolist()}")
-    return np.asarray(np.diag(np.broadcast_to(widths * widths, 3)))
-
-
-def _is_positive_definite(s: Floats) -> bool:
-    """Return whether the leading minors of a symmetric matrix (3, 3) are positive (Sylvester's criterion)."""
-    second = s[0, 0] * s[1, 1] - s[0, 1] * s[0, 1]
-    third = (
-        s[2, 2] * second
-        - s[1, 2] * (s[0, 0] * s[1, 2] - s[0, 1] * s[0, 2])
-        + s[0, 2] * (s[0, 1] * s[1, 2] - s[0, 2] * s[1, 1])
-    )
-    return bool(s[0, 0] > 0.0 and second > 0.0 and third > 0.0)
+    shape = np.asarray(np.diag(np.broadcast_to(widths * widths, 3)))
+    if not are_positive_definite(shape):
+        raise ControllerError(f"act predicted a {name} whose square is no number: {widths.tolist()}")
+    return shape
 
 
 def _finite(name: str, value: object, shape: tuple[int, ...]) -> Floats:
