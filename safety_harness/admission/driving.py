@@ -23,7 +23,7 @@ from safety_harness.cell.controller.python_file import checked_controller
 from safety_harness.cell.robot.robots import urdf_sha256_of
 from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN, AvoiderSilent
 from safety_harness.scenario.model import NO_AVOIDER, Scenario
-from safety_harness.scenario.references import file_and_name, names_a_program, names_onnx
+from safety_harness.scenario.references import file_and_name, names_onnx
 from safety_harness.seams.contract import (
     DECISIONS,
     IMAGE,
@@ -178,8 +178,13 @@ def refuse_unusable_filter(scenario: Scenario) -> None:
     if scenario.shield is not None:
         expected = "a shield or a safety filter, because each must be the last before the drives"
         raise InadmissibleError(place=place, expected=expected, got="both")
-    if not (names_a_program(reference) or file_and_name(reference)[0].endswith(".py")):
-        expected = "a safety filter: FILE.py:NAME, exec:COMMAND, tcp:HOST:PORT or unix:PATH"
+    _refuse_no_program(scenario, reference, "a safety filter: ", place)
+
+
+def _refuse_no_program(scenario: Scenario, reference: str, forms: str, place: Place) -> None:
+    """Refuse a ``reference`` that is no program, or none that can be used; ``forms`` are its other forms."""
+    if not is_a_program(reference):
+        expected = f"{forms}FILE.py:NAME, exec:COMMAND, tcp:HOST:PORT or unix:PATH"
         hint = f"name the class in it as well: {reference}:NAME" if reference.endswith(".py") else ""
         raise InadmissibleError(place=place, expected=expected, got=repr(reference), hint=hint)
     refuse_unusable_controller(reference, folder_of(scenario), place)
@@ -195,11 +200,7 @@ def refuse_unusable_predictor(scenario: Scenario) -> None:
         raise InadmissibleError(place=place, expected=expected, got=f"controller {scenario.controller}")
     if reference == KALMAN_FILTER:
         return
-    if not (names_a_program(reference) or file_and_name(reference)[0].endswith(".py")):
-        expected = f"a predictor: {KALMAN_FILTER}, FILE.py:NAME, exec:COMMAND, tcp:HOST:PORT or unix:PATH"
-        hint = f"name the class in it as well: {reference}:NAME" if reference.endswith(".py") else ""
-        raise InadmissibleError(place=place, expected=expected, got=repr(reference), hint=hint)
-    refuse_unusable_controller(reference, folder_of(scenario), place)
+    _refuse_no_program(scenario, reference, f"a predictor: {KALMAN_FILTER}, ", place)
 
 
 def refuse_other_parts(trace: Trace, scenario: Scenario, file: Path | None = None) -> None:

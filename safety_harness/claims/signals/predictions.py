@@ -12,16 +12,21 @@ from safety_harness.claims.signals.true_motion import true_motion
 from safety_harness.trace.trace import Trace
 
 
+def predicted_at(trace: Trace) -> NDArray[np.float64]:
+    """Return (k,) in ticks, for which time each tick predicts, as long as that is within the trace."""
+    settings = trace.scenario.settings
+    ahead = settings.hand_filter.prediction_horizon_s / settings.clock.control_period_s
+    at = np.arange(len(trace.ticks), dtype=np.float64) + ahead
+    return np.asarray(at[at <= len(trace.ticks) - 1])
+
+
 def prediction_errors_m(trace: Trace) -> NDArray[np.float64]:
     """Return (k, tracks) the distance [m] of each prediction from the nearest true hand at its time.
 
     k is the number of ticks whose predictions are for times within the trace. The distance is NaN if a slot
     tracks no hand.
     """
-    settings = trace.scenario.settings
-    ahead = settings.hand_filter.prediction_horizon_s / settings.clock.control_period_s  # in ticks
-    at: NDArray[np.float64] = np.arange(len(trace.ticks), dtype=np.float64) + ahead
-    at = at[at <= len(trace.ticks) - 1]
+    at = predicted_at(trace)
     predicted_m, hands_m = trace.ticks["predicted_hand_in_base_m"], true_motion(trace).hands_m
     errors_m = np.empty((len(at), predicted_m.shape[1]))
     _errors(predicted_m, hands_m, len(trace.scenario.hands), at, errors_m)

@@ -19,8 +19,10 @@ from safety_harness.claims.properties.base import Evaluation, Unit, Worded, inco
 from safety_harness.claims.properties.entry import CatalogueEntry
 from safety_harness.claims.properties.measured import reads, unexercised
 from safety_harness.claims.signals.occasions import no_hand
+from safety_harness.claims.signals.predictions import predicted_at
 from safety_harness.trace.trace import Trace
 
+Ends = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
 HANDS = "hand_position_in_base_m"
 NO_SET = -1.0  # the limit of (1 - g)/(1 + g), for a hand that the predictor does not expect at all
 
@@ -51,8 +53,9 @@ class HeldBySets(Worded):
             return inconclusive(self, "the scenario has no predictor")
         if not trace.scenario.hands:
             return unexercised(self, no_hand(trace))
-        gauges = _gauges(trace, self.most_m)  # (k, hands)
-        counts = self._counts(trace, len(gauges))
+        ends = _ends_of_horizon(trace)
+        gauges = _gauges(trace, ends, self.most_m)  # (k, hands)
+        counts = self._counts(trace, ends)
         instants = np.flatnonzero(counts.any(axis=1))
         if len(instants) == 0:
             return unexercised(self, f"no hand was there for {self.since_s * 1e3:g} ms and the horizon")
@@ -65,39 +68,36 @@ class HeldBySets(Worded):
         reason += f"; the sets hold the hand at {held:.1%} of all instants{_lateness(trace, gauges)}"
         return judged(self, trace, margin, trace.time_s[tick], reason, len(instants))
 
-    def _counts(self, trace: Trace, count: int) -> NDArray[np.bool_]:
+    def _counts(self, trace: Trace, ends: Ends) -> NDArray[np.bool_]:
         """Return (k, hands) whether a hand has been there for ``since_s``, and still is at the horizon."""
         present = trace.ticks["hand_present"][:, : len(trace.scenario.hands)].astype(np.bool_)
         ticks = np.arange(len(present))[:, None]
         absent = np.maximum.accumulate(np.where(present, -1, ticks), axis=0)
         since = self.since_s / trace.scenario.settings.clock.control_period_s
         long = present & (ticks - absent - 1 >= since - 1e-9)
-        start, later, _ = _ends_of_horizon(trace)
-        return np.asarray(long[:count] & present[start] & present[later])
+        start, later, _ = ends
+        return np.asarray(long[: len(start)] & present[start] & present[later])
 
 
-def _ends_of_horizon(trace: Trace) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+def _ends_of_horizon(trace: Trace) -> Ends:
     """Return, for each tick whose horizon ends in the trace, the ticks (k,) before and after that end.
 
     The third array (k,) is the share of the second tick in the time between both.
     """
-    settings = trace.scenario.settings
-    ahead = settings.hand_filter.prediction_horizon_s / settings.clock.control_period_s
-    at = np.arange(len(trace.ticks)) + ahead
-    at = at[at <= len(trace.ticks) - 1]
+    at = predicted_at(trace)
     start = at.astype(np.int64)
     part = np.asarray(at - start, dtype=np.float64)
     return start, start + (part > 0.0), part
 
 
-def _gauges(trace: Trace, most_m: float) -> NDArray[np.float64]:
+def _gauges(trace: Trace, ends: Ends, most_m: float) -> NDArray[np.float64]:
     """Return (k, hands) the least gauge of each true hand over the sets for its time; infinite without a set.
 
     Sets with a half width above ``most_m`` do not count.
     k is the number of ticks whose predictions are for times within the trace.
     """
     ticks, sets = trace.ticks, trace.predicted
-    start, later, part = _ends_of_horizon(trace)
+    start, later, part = ends
     count, share = len(start), part[:, None, None]
     hands_m = ticks[HANDS][:, : len(trace.scenario.hands)]
     true_m = hands_m[start] * (1.0 - share) + hands_m[later] * share
