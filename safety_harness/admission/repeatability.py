@@ -35,7 +35,7 @@ from safety_harness.cell.avoidance.asking import (
 from safety_harness.cell.avoidance.avoider import Avoider, shown_to
 from safety_harness.cell.avoidance.flaky import Asked, asked_in, difference
 from safety_harness.cell.avoidance.isolation.isolated import processes_apart
-from safety_harness.cell.simulation.worlds import world_of_trace
+from safety_harness.cell.simulation.worlds import SIMULATOR, is_simulator, world_of_trace
 from safety_harness.scenario.model import Scenario
 from safety_harness.trace.trace import Trace
 
@@ -102,15 +102,18 @@ class DrivenAgain(RepeatabilityResult):
     """The result of repeated runs: fresh controllers drove ``asked`` of ``questions`` runs again.
 
     If ``of_avoider``, the visual servo drove these runs, with a fresh avoider that sees more than a trace
-    stores.
+    stores. If ``of_simulator``, the runs were in a user's simulator.
     """
 
     of_avoider: bool = False
+    of_simulator: bool = False
     _repeated: ClassVar[str] = "runs"
 
     @property
     def who(self) -> str:
-        """The driver of the runs in a word: avoider or controller."""
+        """The part that may have changed between two equal runs."""
+        if self.of_simulator:
+            return "simulator or the system in it"
         return "avoider" if self.of_avoider else "controller"
 
     @property
@@ -118,6 +121,9 @@ class DrivenAgain(RepeatabilityResult):
         """The result on one line if all repeated runs are equal."""
         if not self.asked:
             return f"the {self.who} ended no run that could be driven again"
+        if self.of_simulator:
+            runs = f"{self.asked} of {self.questions} runs"
+            return f"{runs} made again in the simulator, with a fresh system: the same to the last bit"
         again = f"{self.asked} of {self.questions} runs driven again by a fresh {self.who}"
         return f"{again}: the same to the last bit"
 
@@ -128,6 +134,7 @@ class DrivenRun:
 
     ``controller_sha256`` is the hash of the controller's or avoider's file.  If ``asks``, the visual servo
     drove the run and asked the avoider in that file.  ``parts`` are the references of the system's parts.
+    ``simulated`` states that the world is a user's simulator.
     """
 
     run: str
@@ -136,6 +143,7 @@ class DrivenRun:
     controller_sha256: str
     asks: bool = False
     parts: tuple[str, ...] = ()
+    simulated: bool = False
 
 
 def driven_in(trace: Trace) -> DrivenRun | None:
@@ -143,9 +151,9 @@ def driven_in(trace: Trace) -> DrivenRun | None:
 
     None means that the run broke off, or that its questions can be repeated instead.
     """
-    scenario = trace.scenario
+    scenario, simulated = trace.scenario, is_simulator(trace.provenance.world)
     programs = scenario.driven or is_a_program(scenario.avoider) or scenario.has_parts_beside
-    if not programs or not trace.complete:
+    if not (programs or simulated) or not trace.complete:
         return None
     commands = trace.ticks["demanded_joint_velocity_radps"].tobytes()
     commands += trace.decisions["proposed_position_in_base_m"].tobytes()
@@ -153,8 +161,10 @@ def driven_in(trace: Trace) -> DrivenRun | None:
     digest = hashlib.sha256(commands + trace.ticks["joint_position_rad"].tobytes()).hexdigest()
     beside = (trace.system.safety_filter, trace.system.predictor)
     sha256 = trace.system.tested.sha256 + "".join(part.sha256 for part in beside if part is not None)
-    asks = not (scenario.driven or scenario.has_parts_beside)
-    return DrivenRun(scenario.name, trace.provenance.world, digest, sha256, asks, scenario.parts_under_test)
+    sha256 += dict(trace.provenance.libraries).get(SIMULATOR, "") if simulated else ""
+    asks = not (scenario.driven or scenario.has_parts_beside or simulated)
+    world, parts = trace.provenance.world, scenario.parts_under_test
+    return DrivenRun(scenario.name, world, digest, sha256, asks, parts, simulated)
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,7 +236,8 @@ class Repeatability:
         """Repeat a sample of the runs for ``allowed_s`` seconds, but at least LEAST_RUNS runs."""
         begun_s, again, texts = time.monotonic(), 0, list[str]()
         of_avoider = bool(self._driven) and all(run.asks for run, _ in self._driven)
-        result = DrivenAgain(questions=self._runs, of_avoider=of_avoider)
+        simulated = any(run.simulated for run, _ in self._driven)
+        result = DrivenAgain(questions=self._runs, of_avoider=of_avoider, of_simulator=simulated)
         least = max(LEAST_RUNS, len({run.parts for run, _ in self._driven}))
         for run, scenario in self._drawn_runs():
             if again >= least and time.monotonic() - begun_s > allowed_s:
@@ -234,6 +245,7 @@ class Repeatability:
             try:
                 chosen = scenario()
                 beside = {"safety filter": chosen.safety_filter, "predictor": chosen.predictor}
+                beside = {} if simulated else beside
                 who = " or its ".join([result.who, *(name for name, part in beside.items() if part)])
                 otherwise = _driven_otherwise(run, chosen, who)
             except (InputError, SimulationError) as error:
@@ -300,9 +312,16 @@ def _driven_otherwise(run: DrivenRun, scenario: Scenario, who: str) -> str:
     if len(again) < 2:
         return f"{run.run} broke off when it was driven again"
     if again[0].controller_sha256 != run.controller_sha256:
-        return f"the {who}'s file has changed since {run.run} was driven"
+        return f"the file of the {who} has changed since {run.run} was driven"
     if again[0].sha256 != again[1].sha256:
-        return f"the {who} does not repeat itself: two fresh ones drive {run.run} differently"
+        how = (
+            f"{run.run} differs in two turns"
+            if run.simulated
+            else f"two fresh ones drive {run.run} differently"
+        )
+        return f"the {who} does not repeat itself: {how}"
+    if again[0].sha256 != run.sha256 and run.simulated:
+        return f"the {who} carries something over from earlier episodes: {run.run}, run again, differs"
     if again[0].sha256 != run.sha256:
         carries = f"the {who} carries something over from earlier episodes"
         carries += "" if run.asks else ", or its act_many is not its act"

@@ -374,6 +374,7 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
             _of_group(trials, group) | {"counterexample": _file_of(group, evidence)}
             for group in findings.groups
         ],
+        "searched_in": str(evidence.searched),
         "confirmed_in": list(evidence.confirmed_in),
         "confirmed": evidence.confirmed,
         "physics_had_a_part": evidence.physical,

@@ -310,3 +310,15 @@ def test_run_takes_it_and_the_page_names_it(tmp_path: Path, capsys: pytest.Captu
     assert run_files([file], tmp_path / "out", world=command(KINEMATIC_CELL)) == 0
     assert "kinematic_cell.py" in capsys.readouterr().out
     assert "kinematic cell 1, sha256" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_an_edited_simulator_ends_the_job_and_the_next_job_begins_it_anew(tmp_path: Path) -> None:
+    world = changed(tmp_path)
+    first = run_trial(visit(), world=world)
+    (tmp_path / "cell.py").write_text(KINEMATIC_CELL.read_text().replace('version="1"', 'version="22"'))
+    with pytest.raises(SimulationError, match="its files have changed since it began"):
+        run_trial(visit(), world=world)
+    second = run_trial(visit(), world=in_world(tmp_path / "cell.py"))
+    said = [dict(trace.provenance.libraries)["simulator"] for trace in (first, second)]
+    assert said[0].startswith("kinematic cell 1, sha256")
+    assert said[1].startswith("kinematic cell 22, sha256")

@@ -9,12 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from types import FunctionType
 from typing import TYPE_CHECKING, Protocol
 
-from safety_harness.base.exceptions import InstallationError, Place, ScenarioError, TraceError, near_miss
+from safety_harness.base.exceptions import (
+    InadmissibleError,
+    InstallationError,
+    Place,
+    ScenarioError,
+    TraceError,
+    near_miss,
+)
 from safety_harness.base.extension_points import ExtensionPoint, Registry, loaded
 from safety_harness.base.extras import IMAGES
 from safety_harness.base.extras import PYBULLET as PYBULLET_EXTRA
@@ -55,7 +62,8 @@ class WorldEntry:
     ``BatchWorld``, so that many episodes run together. The recorded speed of a joint may differ from the
     motor's set point by ``known_to_radps``, because the engine's solver stops there. ``model_only`` states
     that a reference must confirm a result or a bound before it counts for more than the model. ``reference``
-    states that the world confirms results, and that runs without a named world may be made in it.
+    states that the world confirms results, and that runs without a named world may be made in it. ``program``
+    states that a run executes the user's simulator.
     """
 
     name: str
@@ -68,16 +76,19 @@ class WorldEntry:
     libraries: tuple[str, ...] = ()
     model_only: bool = False
     reference: bool = False
+    program: bool = False
 
     def __str__(self) -> str:
+        if self.program:
+            return f"the simulator {self.label}"
         return f"the {self.label} world" if self.model_only else self.label
 
     @property
     def is_installed(self) -> bool:
-        """Whether the world's engine can be loaded; the property loads it to find out."""
+        """Whether the world's engine can be loaded, or its program is there; the property loads an engine."""
         try:
             self.opener()
-        except InstallationError:
+        except (InadmissibleError, InstallationError):
             return False
         return True
 
@@ -171,6 +182,7 @@ Its motors miss their speeds by at most 4e-9 rad/s with UR arms, iiwa and xArm, 
 KINEMATIC = WorldEntry(name="kinematic", label="kinematic", load=_kinematic, batch=True, model_only=True)
 """Joints follow the drives exactly; many episodes run together."""
 REFERENCE = PYBULLET
+SIMULATOR = "simulator"  # the user's, among the libraries of a trace
 WORLDS = Registry([PYBULLET, KINEMATIC], ExtensionPoint.WORLDS, WorldEntry)
 """Every world. A new one is a class and an entry here, or an entry point of a package."""
 
@@ -225,10 +237,20 @@ def world_named(label: str, option: str) -> WorldEntry:
     for known, world in worlds.items():
         if known.casefold() == label.casefold():
             return world
-    if (made := _of_reference(label)) is not None:
-        _named.add(label)
-        return made
+    if (made := _of_reference.__wrapped__(label)) is not None:  # an edited simulator begins anew
+        return named_by_user(made)
     raise ScenarioError.of_option(option, " or ".join(worlds), label, near_miss(label, worlds))
+
+
+def world_labelled(label: str) -> WorldEntry | None:
+    """Return the world that a plan calls ``label``; None if unknown. A simulator is not executed."""
+    return worlds_by_label().get(label) or _of_reference(label)
+
+
+def named_by_user(world: WorldEntry) -> WorldEntry:
+    """Return ``world``, which the user named, so that this process may repeat traces of it."""
+    _named.add(world.name)
+    return world
 
 
 _named: set[str] = set()  # references that the user named in this process
@@ -239,12 +261,17 @@ def _of_reference(reference: str) -> WorldEntry | None:
     """Return the world of a reference such as ``exec:./my_cell``; None if its prefix is no such name."""
     prefix, colon, _ = reference.partition(":")
     makers = dict(loaded(ExtensionPoint.WORLD_PROGRAMS, FunctionType)) if colon else {}
-    return makers[prefix](reference) if prefix in makers else None
+    return replace(makers[prefix](reference), program=True) if prefix in makers else None
 
 
 def entry_of(name: str) -> WorldEntry | None:
     """Return the world with the ``name`` that a trace states; None for an unknown name."""
     return next((world for world in WORLDS if world.name == name), None) or _of_reference(name)
+
+
+def is_simulator(name: str) -> bool:
+    """Return whether a trace's world of this ``name`` is a user's simulator."""
+    return ":" in name and (entry := entry_of(name)) is not None and entry.program
 
 
 def world_of_trace(name: str) -> WorldEntry:

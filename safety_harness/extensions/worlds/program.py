@@ -7,6 +7,8 @@ checked; a state that cannot be true ends the run with an error, and never becom
 from __future__ import annotations
 
 import logging
+import os
+import shlex
 from dataclasses import replace
 from functools import lru_cache, partial
 
@@ -21,7 +23,7 @@ from safety_harness.cell.perception.detector import BoundingBoxDetector
 from safety_harness.cell.robot.description import ArmModel, resolved_urdf
 from safety_harness.cell.simulation.steps import drive_on, move_on
 from safety_harness.cell.simulation.world import RecordedWorld
-from safety_harness.cell.simulation.worlds import OpensWorld, WorldEntry
+from safety_harness.cell.simulation.worlds import SIMULATOR, OpensWorld, WorldEntry
 from safety_harness.extensions.worlds.program_messages import (
     MOST_BYTES,
     PROTOCOL,
@@ -34,6 +36,7 @@ from safety_harness.extensions.worlds.program_messages import (
     said_by_simulator,
 )
 from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.references import EXEC
 from safety_harness.seams.isolation.channel import GoneError, NonsenseError
 from safety_harness.seams.isolation.connection import Connection, RefusedError, json_wire, refusing
 from safety_harness.seams.isolation.messages import Failed, ProcessMessage
@@ -53,14 +56,19 @@ FOLLOWS = (0.55, 1.8)  # what a joint turns then, as a share of what its set poi
 def program_world(reference: str) -> WorldEntry:
     """Return the world of a reference ``exec:COMMAND``, ``tcp:HOST:PORT`` or ``unix:PATH``.
 
-    Nothing is executed before a scenario is opened.
+    Nothing is executed before a scenario is opened. A simulator whose files have changed since it began ends,
+    so that the next run begins it anew.
     """
+    if (running := _running.get(reference)) is not None and running.is_edited:
+        running.end()
+        simulator.cache_clear()
     return WorldEntry(
         name=reference,
         label=reference,
         load=partial(_opener, reference),
         substeps=True,
         model_only=True,
+        program=True,
     )
 
 
@@ -76,13 +84,20 @@ class Simulator:
 
     def __init__(self, reference: str) -> None:
         """Start the program; raise ``InadmissibleError`` if it is no simulator."""
-        self.reference, self.sha256 = reference, program_sha256(reference, PLACE)
+        self.reference, self._stamp = reference, _stamp(reference)
+        self.sha256 = program_sha256(reference, PLACE)
         wire = json_wire(said_by_simulator.decode, MOST_BYTES)
         subject, start = peer_of(reference, PLACE, BEGIN_S, LOGGER)
         self._connection = Connection(start, wire)
         with refusing(InadmissibleError, f"{subject} to be a simulator", BEGIN_S, PLACE):
             self._said = self._begun()
         self.repeats: bool | None = None  # None until it is tried
+        _running[reference] = self
+
+    @property
+    def is_edited(self) -> bool:
+        """Whether a file of the command has changed since the simulator began."""
+        return _stamp(self.reference) != self._stamp
 
     def _begun(self) -> WorldWelcome:
         welcome = self._connection.introduce(WorldHello(), WorldWelcome, BEGIN_S)
@@ -109,10 +124,10 @@ class Simulator:
         After an error, the next ``reset`` starts the program anew.
         """
         try:
+            if isinstance(message, WorldReset) and self.is_edited:
+                raise NonsenseError("its files have changed since it began")
             if isinstance(message, WorldReset) and not self._connection.quiet:
                 self._connection.end()
-                if program_sha256(self.reference, PLACE) != self.sha256:
-                    raise NonsenseError("its files have changed since it began")
                 if self._begun() != self._said:
                     raise NonsenseError("after a restart it describes itself differently")
             self._connection.say(message, limit_s)
@@ -146,6 +161,13 @@ class Simulator:
 
 
 simulator = lru_cache(Simulator)  # one for each process and reference
+_running: dict[str, Simulator] = {}
+
+
+def _stamp(reference: str) -> list[tuple[int, int]]:
+    """Return size and time of change of each file in a command; to read the files would take longer."""
+    files = filter(os.path.isfile, shlex.split(reference.removeprefix(EXEC)))
+    return [(status.st_size, status.st_mtime_ns) for status in map(os.stat, files)]
 
 
 class ProgramWorld(RecordedWorld):
@@ -195,7 +217,7 @@ class ProgramWorld(RecordedWorld):
 
     def provenance_of(self, made: Provenance) -> Provenance:
         """Return the provenance of a run with the simulator's name, version and hash."""
-        return replace(made, libraries=(*made.libraries, ("simulator", self._simulator.described)))
+        return replace(made, libraries=(*made.libraries, (SIMULATOR, self._simulator.described)))
 
     def step(self, command: NDArray[np.void]) -> bool:
         """Run the drives, and let the simulator move the arm by a control period.

@@ -152,7 +152,7 @@ class EpisodeRunner:
         for k in range(MAX_REJECTION_RATIO):
             try:
                 scenario = self.scenario(stratum, episode, k, first if k == 0 else None)
-                if not self.programs and executes(scenario):
+                if not self.programs and (executes(scenario) or self.plan.world.program):
                     raise CampaignError(f"{scenario.name} names a program, which is not to be executed")
                 return Drawn(episode, k + 1, self._admitter.admit(scenario))
             except InputError as error:

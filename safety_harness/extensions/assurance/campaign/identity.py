@@ -11,16 +11,18 @@ import json
 import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 
-from safety_harness.base.exceptions import LedgerError, Place, ScenarioError
+from safety_harness.base.exceptions import InadmissibleError, LedgerError, Place, ScenarioError
 from safety_harness.base.shipped.contents import PREFIX, contents, is_installed, located
 from safety_harness.base.whole_file import writing
 from safety_harness.cell.avoidance.shipped import SHIPPED, shipped_model
+from safety_harness.cell.controller.out_of_process.references import program_sha256
 from safety_harness.cell.robot.robots import arm_model
-from safety_harness.cell.simulation.worlds import libraries_of, worlds_by_label
+from safety_harness.cell.simulation.worlds import libraries_of, world_labelled
 from safety_harness.scenario.compose import Library
 from safety_harness.scenario.files import read_bytes, resolved
 from safety_harness.scenario.model import EDITION
@@ -33,6 +35,8 @@ from safety_harness.trace.system import SystemUnderTest
 
 SYSTEM = "the system under test"
 CLAIMS = "the meaning of the claims"
+SIMULATOR = "the simulator"
+UNKNOWN_SIMULATOR = "of unknown content"  # a program that listens
 
 
 @dataclass(frozen=True)
@@ -106,6 +110,7 @@ def identity_of(
     parts["Python"] = made_by.python
     parts["the platform"] = made_by.platform
     parts |= {f"the library {name}": version for name, version in made_by.libraries}
+    parts |= _simulator(world)
     parts |= {f"{SYSTEM} in {name}": system.as_json for name, system in systems}
     return Identity(tuple(parts.items()))
 
@@ -118,9 +123,21 @@ def edition_of(identity: Identity) -> int:
 
 def _libraries(spaces: Sequence[ScenarioSpace], world: str) -> tuple[str, ...]:
     """Return the distinct libraries that the runs use; a missing engine appears as not loaded."""
-    entry = worlds_by_label()[world]
+    entry = world_labelled(world)
+    assert entry is not None
     used = (libraries_of(entry.name, space.simplest) for space in spaces)
     return tuple(dict.fromkeys(chain(entry.libraries * entry.is_installed, *used)))
+
+
+def _simulator(world: str) -> dict[str, str]:
+    """Return the hash of the user's simulator as a part of an identity; nothing for a world of ours."""
+    entry = world_labelled(world)
+    if entry is None or not entry.program:
+        return {}
+    with suppress(InadmissibleError):  # no such program here
+        sha256 = program_sha256(world, Place(field="world"))
+        return {SIMULATOR: f"sha256 {sha256}" if sha256 else UNKNOWN_SIMULATOR}
+    return {SIMULATOR: "not found"}
 
 
 MOST_BYTES = 200_000_000  # of all files together

@@ -26,7 +26,7 @@ from safety_harness.admission.repeatability import DrivenAgain, RepeatabilityRes
 from safety_harness.base.exceptions import RecordingError
 from safety_harness.base.renamed import renamed_parameters
 from safety_harness.base.whole_file import replacing, writing
-from safety_harness.cell.simulation.worlds import WorldEntry, worlds_by_label
+from safety_harness.cell.simulation.worlds import WorldEntry, world_labelled
 from safety_harness.claims.properties.base import Unit
 from safety_harness.extensions.assurance.campaign.identity import Identity, PlanFile
 from safety_harness.extensions.assurance.campaign.opening import (
@@ -395,7 +395,8 @@ class Ledger:
         questions, asked_again, differing = (sum(row[k] for row in rows) for k in range(3))
         kind: Callable[..., RepeatabilityResult] = RepeatabilityResult
         if any(row[4] & BY_RUNS for row in rows):
-            kind = partial(DrivenAgain, of_avoider=any(row[4] & OF_AVOIDER for row in rows))
+            of_avoider, of_simulator = any(row[4] & OF_AVOIDER for row in rows), self.declared.world.program
+            kind = partial(DrivenAgain, of_avoider=of_avoider, of_simulator=of_simulator)
         return kind(
             questions=questions,
             asked=asked_again,
@@ -626,6 +627,13 @@ def _declare(connection: sqlite3.Connection, plan: Plan, ledger: Path) -> None:
     connection.executemany("INSERT INTO claim VALUES (?, ?, ?, ?, ?)", claims)
 
 
+def _world(label: str) -> WorldEntry:
+    """Return the world that a ledger names; ValueError if there is none."""
+    if (world := world_labelled(label)) is None:
+        raise ValueError(f"unknown world {label!r}")
+    return world
+
+
 def _declared(connection: sqlite3.Connection, path: Path) -> Declared:
     """Return the plan as the ledger stores it; LedgerError for content that no plan can have."""
     with explained(path):
@@ -639,7 +647,7 @@ def _declared(connection: sqlite3.Connection, path: Path) -> Declared:
             plan_file=path.parent / entries["plan file"],
             identity=Identity.from_json(entries["identity"]),
             seed=int(plan["seed"]),
-            world=worlds_by_label()[str(plan["world"])],
+            world=_world(str(plan["world"])),
             confidence=float(plan["confidence"]),
             stop_early=bool(plan["stop early"]),
             strata=tuple(name for name, _ in strata),

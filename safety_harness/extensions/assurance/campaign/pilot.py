@@ -15,13 +15,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 from statistics import median
 
-from safety_harness.admission.admit import refuse_no_answer
 from safety_harness.base.exceptions import StatisticsError
 from safety_harness.base.proportions import lower_bound, upper_bound
 from safety_harness.base.seeds import Branch
 from safety_harness.base.seeds import seed as leaf
 from safety_harness.extensions.assurance.campaign.episodes import EpisodeRunner
-from safety_harness.extensions.assurance.campaign.plan import Plan, scenarios_by_avoider
+from safety_harness.extensions.assurance.campaign.plan import Plan
+from safety_harness.extensions.assurance.campaign.ready import refuse_unready
 from safety_harness.extensions.assurance.campaign.rows import Row
 from safety_harness.extensions.assurance.campaign.summary import CampaignTally
 from safety_harness.extensions.assurance.campaign.watch import AvoiderWatch
@@ -166,9 +166,7 @@ def pilot(plan: Plan, runs: int, on_progress: Callable[[int], None] = lambda don
 
     InputError if an avoider cannot be made, or if the plan's text causes an error.
     """
-    plan.world.opener()
-    for scenario in scenarios_by_avoider(plan):
-        refuse_no_answer(scenario)
+    refuse_unready(plan)
     seed = leaf(plan.seed, Branch.CAMPAIGN, _PILOT)
     runner = EpisodeRunner(replace(plan, seed=seed, random_traces=0, violations_kept=0))
     forecasts: list[ClaimForecast] = []

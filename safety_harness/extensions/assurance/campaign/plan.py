@@ -21,7 +21,13 @@ from safety_harness.admission.claims import property_of
 from safety_harness.admission.driving import named_system
 from safety_harness.base.exceptions import InadmissibleError, InputError, Place, ScenarioError
 from safety_harness.base.shipped.contents import located
-from safety_harness.cell.simulation.worlds import REFERENCE, WorldEntry, worlds_by_label
+from safety_harness.cell.simulation.worlds import (
+    KINEMATIC,
+    REFERENCE,
+    WorldEntry,
+    world_labelled,
+    worlds_by_label,
+)
 from safety_harness.claims.properties.base import Unit
 from safety_harness.extensions.assurance.campaign.hazards import PlannedHazards, read_hazards
 from safety_harness.extensions.assurance.campaign.identity import (
@@ -114,6 +120,7 @@ class Plan:
     about: str
     avoider: str | None
     world: WorldEntry
+    names_world: bool  # or takes the first reference
     confidence: float
     seed: int
     strata: tuple[Stratum, ...]
@@ -138,6 +145,11 @@ class Plan:
     def runs(self) -> int:
         """The number of runs in all strata."""
         return sum(stratum.runs for stratum in self.strata)
+
+    @property
+    def replay_world(self) -> WorldEntry:
+        """The world of searches and of replays for causes: the kinematic one, or the user's simulator."""
+        return self.world if self.world.program else KINEMATIC
 
     @property
     def avoider_here(self) -> str | None:
@@ -226,13 +238,14 @@ def read_plan(path: str | Path, edition: int = EDITION) -> Plan:
         raise stop.error(
             "no, or a target (violated in at most: ...) for every claim, which tells when to stop"
         )
-    world = _read(given, "world", lambda field: field.one_of(worlds_by_label()), REFERENCE)
+    world = _read(given, "world", _world, REFERENCE)
     files = files_of_plan(path, library, [stratum.space for stratum in strata], reference, risks.files)
     return Plan(
         title=title,
         about=_read(given, "about", lambda f: f.prose("why, intended use, assumptions", lines=True), ""),
         avoider=reference,
         world=world,
+        names_world=given.optional("world") is not None,
         confidence=confidence,
         seed=_read(given, "seed", lambda f: f.integer(least=0, most=LARGEST_SEED), 0),
         strata=strata,
@@ -255,6 +268,12 @@ def read_plan(path: str | Path, edition: int = EDITION) -> Plan:
         avoider_place=place,
         proof=_read(given, "proof", lambda f: path.parent / f.sentence("certificate.json of prove"), None),
     )
+
+
+def _world(field: Field) -> WorldEntry:
+    """Return the world that a plan names: one of ours, or a simulator, whose paths start as in a shell."""
+    simulator = world_labelled(field.sentence("the name of a world"))
+    return simulator or field.one_of(worlds_by_label())
 
 
 def _systems(

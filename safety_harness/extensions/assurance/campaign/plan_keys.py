@@ -11,6 +11,7 @@ from safety_harness.scenario.units import FRACTION, NUMBER
 LEAST_TARGET = 1e-9  # smaller targets need more runs than any plan has
 
 _LINE = Text(kind="text, one line", expected="a text on one line")
+_WORLDS = [world.label for world in WORLDS]
 _TEXT = Text(kind="text", expected="a text")
 
 
@@ -69,8 +70,11 @@ PLAN = KeyTable(
         Key("controller", _LINE, "in place of an avoider", "stop when near", "the visual servo"),
         Key(
             "world",
-            Word(members=tuple(world.label for world in WORLDS)),
-            "where it runs",
+            Text(
+                kind=f"{', '.join(_WORLDS)}, or a simulator: exec:, tcp: or unix:",
+                pattern=rf"^({'|'.join(_WORLDS)}|[a-z][a-z0-9-]+:.+)$",
+            ),
+            "where it runs; `certify` needs it",
             "kinematic",
             "PyBullet",
         ),

@@ -17,7 +17,7 @@ from functools import partial
 
 import numpy as np
 
-from safety_harness.admission.admit import Admitted, Admitter, refuse_no_answer
+from safety_harness.admission.admit import Admitted, Admitter
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.trial import run_all
 from safety_harness.base.exceptions import InputError, described
@@ -25,12 +25,8 @@ from safety_harness.base.proportions import lower_bound, upper_bound
 from safety_harness.base.seeds import Branch
 from safety_harness.base.seeds import seed as leaf
 from safety_harness.extensions.assurance.campaign.episodes import judgement_of, why_broken
-from safety_harness.extensions.assurance.campaign.plan import (
-    Plan,
-    PlannedClaim,
-    Stratum,
-    scenarios_by_avoider,
-)
+from safety_harness.extensions.assurance.campaign.plan import Plan, PlannedClaim, Stratum
+from safety_harness.extensions.assurance.campaign.ready import refuse_unready
 from safety_harness.extensions.assurance.campaign.watch import AvoiderWatch
 from safety_harness.extensions.assurance.statistics.importance import Importance, weigh
 from safety_harness.extensions.assurance.statistics.rare import RareEstimate, Splitting, split
@@ -77,9 +73,7 @@ def rare_violations(
     InputError if the plan's text causes an error. StatisticsError if a run failed, or if a run exercises the
     claim but has no verdict.
     """
-    plan.world.opener()
-    for scenario in scenarios_by_avoider(plan):
-        refuse_no_answer(scenario)
+    refuse_unready(plan)
     each = (1.0 - plan.confidence) / (len(plan.strata) * len(plan.claims))
     for stratum in plan.strata:
         seed = leaf(plan.seed, Branch.CAMPAIGN, _RARE, stratum.number)

@@ -11,14 +11,14 @@ from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
-from safety_harness.admission.admit import refuse_no_answer
 from safety_harness.admission.repeatability import Repeatability, RepeatabilityResult
 from safety_harness.base.exceptions import described
+from safety_harness.cell.simulation.worlds import named_by_user
 from safety_harness.extensions.assurance.campaign.episodes import trace_of
 from safety_harness.extensions.assurance.campaign.identity import unpacked
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.opening import only_runner
-from safety_harness.extensions.assurance.campaign.plan import Plan, read_plan, scenarios_by_avoider
+from safety_harness.extensions.assurance.campaign.plan import Plan, read_plan
 from safety_harness.extensions.assurance.campaign.processes import (
     LIMITS,
     Limits,
@@ -26,6 +26,7 @@ from safety_harness.extensions.assurance.campaign.processes import (
     WorkerPool,
     bench_of_file,
 )
+from safety_harness.extensions.assurance.campaign.ready import refuse_unready
 from safety_harness.extensions.assurance.campaign.runner import CampaignRunner
 from safety_harness.trace.provenance import machine as kind_of_machine
 
@@ -75,6 +76,7 @@ def run_missing(
         OutputError: The ledger cannot be written.
 
     """
+    named_by_user(plan.world)
     with ExitStack() as stack:
         stack.enter_context(only_runner(path))
         known = _known(path, plan)
@@ -84,9 +86,7 @@ def run_missing(
             if all(next(ledger.missing(k), None) is None for k in range(len(plan.strata))):
                 _ask_again(plan, ledger, say)
                 return True
-        plan.world.opener()
-        for scenario in scenarios_by_avoider(plan):
-            refuse_no_answer(scenario)
+        refuse_unready(plan)
         if known is None:
             ledger = stack.enter_context(Ledger.create(path, plan))
         crew = stack.enter_context(closing(make_crew(plan)))

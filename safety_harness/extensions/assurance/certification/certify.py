@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from safety_harness.base.exceptions import InstallationError
+from safety_harness.base.exceptions import InstallationError, Place, ScenarioError
 from safety_harness.base.interrupts import one_more_ctrl_c
 from safety_harness.base.output import Output
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
@@ -100,6 +100,7 @@ class Certification:
 
         """
         plan = read_packable(file)
+        _refuse_unnamed_world(plan)
         declaration_sha256 = declared_sha256(plan, declared)
         refuse_hopeless(plan)
         refuse_shared_modules()
@@ -193,10 +194,18 @@ class Certification:
             seed=self.plan.seed,
             claims=[claim.sentence for claim in self.plan.claims],
             explain="all",
+            world=self.plan.replay_world,
             out=searched.folder,
             output=output,
         )
         return findings.kept(searched.folder, output)
+
+
+def _refuse_unnamed_world(plan: Plan) -> None:
+    """Raise ScenarioError if a plan does not name the world on which the report would rest."""
+    if not plan.names_world:
+        place, expected = Place(file=plan.file, field="world"), "a world, on which the report will rest"
+        raise ScenarioError(place=place, expected=expected, got="none", hint=f"world: {plan.world.label}")
 
 
 def refuse_shared_modules() -> None:

@@ -160,6 +160,7 @@ class Found(Struct, frozen=True, kw_only=True):
     unconfirmed: list[Any] = field(name="not_confirmed")
     counterexamples: tuple[str, ...]
     attribution: FaultsFound | None = None
+    searched_in: str = "the kinematic world"
 
     @property
     def confirmed_words(self) -> str:
@@ -246,7 +247,7 @@ def search_evidence(searches: tuple[Searched, ...]) -> SearchSummary | None:
     if not known:
         return None
     lines = [
-        f"{stratum}: {search.tried} runs of the searcher {search.searcher} in the kinematic world, "
+        f"{stratum}: {search.tried} runs of the searcher {search.searcher} in {search.searched_in}, "
         f"{count_words(len(search.distinct), 'group of violations', 'groups of violations')}; "
         f"{count_words(len(search.counterexamples), 'was', 'were')} shrunk"
         f"{search.confirmed_words}, "
@@ -349,7 +350,7 @@ def told_whose_fault(plan: Plan, met: Sequence[Example | str]) -> tuple[Example 
     covers ``MOST_ASKED`` counterexamples of each claim. Counterexamples of a search already have an
     attribution.
     """
-    attribution = SearchAttribution()
+    attribution = SearchAttribution(plan.replay_world)
     counts: Counter[int] = Counter()
     examples: list[Example | str] = []
     for item in met:

@@ -9,7 +9,7 @@ from safety_harness.admission.admit import admit
 from safety_harness.admission.agreement import measured_agreement
 from safety_harness.admission.avoiders import is_a_program
 from safety_harness.admission.trial import judge, run_trial
-from safety_harness.cell.simulation.worlds import WORLDS, WorldEntry, world_of_trace
+from safety_harness.cell.simulation.worlds import WORLDS, WorldEntry, entry_of
 from safety_harness.claims.properties.base import Evaluation
 from safety_harness.extensions.assurance.certification.stored import Stored
 from safety_harness.extensions.assurance.certification.tools import (
@@ -97,8 +97,8 @@ def _no_reruns(chosen: Sequence[Trace]) -> list[str]:
 
 def _reruns_of(chosen: Sequence[Trace]) -> tuple[Rerun, ...]:
     """Repeat declared random runs with smaller physics steps, and in every other world."""
-    reruns, own = [], world_of_trace(chosen[0].provenance.world)
-    if own.substeps:
+    reruns, own = [], entry_of(chosen[0].provenance.world)
+    if own is not None and own.substeps and not own.program:
         substeps = chosen[0].scenario.settings.clock.physics_substeps
         how = f"with {2 * substeps} physics steps a control tick in place of {substeps}"
         reruns.append(_rerun(chosen, own, "step-size", "Finer physics steps", how, change=_finer))

@@ -19,6 +19,7 @@ import msgspec
 
 from safety_harness.base.compiled import source_hash
 from safety_harness.base.exceptions import InputError
+from safety_harness.cell.simulation.worlds import world_labelled
 from safety_harness.claims.properties.answered import fallback_words
 from safety_harness.claims.properties.tally import basis
 from safety_harness.extensions.assurance.certification.tools import CoverageOfRuns, Credibility, SelfTest
@@ -536,6 +537,12 @@ class Evidence:
         return [finding.text for finding in self.findings if f" {UNMADE}: " in finding.text]
 
     @property
+    def simulator(self) -> str:
+        """The user's simulator that made the runs, in words; empty for a world of ours."""
+        world = world_labelled(self.plan.world)
+        return str(world) if world is not None and world.program else ""
+
+    @property
     def basis(self) -> str:
         """What the verdicts rest on: world, exercised runs, exclusions and assumptions."""
         world = f"the {self.plan.world} world" if self.plan.model_only else self.plan.world
@@ -543,7 +550,7 @@ class Evidence:
             (sum(row.tested - row.failed for row in claim.outcomes), sum(row.runs for row in claim.outcomes))
             for claim in self.claims
         ]
-        return basis([world], counts, (*self.exclusions, *self.assumptions))
+        return basis([self.simulator or world], counts, (*self.exclusions, *self.assumptions))
 
     @property
     def full(self) -> bool:

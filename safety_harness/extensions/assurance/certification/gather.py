@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from safety_harness.claims.properties.tally import ASSUMPTIONS, EXCLUSIONS
+from safety_harness.extensions.assurance.campaign.identity import SIMULATOR
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.plan import Plan
 from safety_harness.extensions.assurance.campaign.summary import root_of, shields_in
@@ -278,7 +279,8 @@ def libraries_of(ledger: Ledger) -> tuple[tuple[str, str], ...]:
     """Return the libraries, with their versions, of the declared runs in ``ledger``."""
     prefix = "the library "
     parts = ledger.declared.identity.parts
-    return tuple((name.removeprefix(prefix), text) for name, text in parts if name.startswith(prefix))
+    named = ((name.removeprefix(prefix), text) for name, text in parts if name.startswith(prefix))
+    return (*named, *((name.removeprefix("the "), text) for name, text in parts if name == SIMULATOR))
 
 
 def sessions_of(ledger: Ledger) -> tuple[str, str, float]:

@@ -15,6 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from safety_harness.base.exceptions import InputError, OutputError, Place
+from safety_harness.cell.simulation.worlds import named_by_user
 from safety_harness.extensions.assurance.campaign.identity import edition_of, unpacked
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.plan import Plan, read_plan
@@ -178,6 +179,7 @@ def verify(
             return
         _refuse_to_execute(plan, runs, execute_programs)
         if execute_programs and runs != 0:
+            named_by_user(plan.world)
             put_back_opened(folder, plan.file, unpacking, ledger)
         own = check_plan(folder, plan, ledger)
         yield own
@@ -202,7 +204,8 @@ def _of_the_plan(report: ReportFolder, drawing: Drawing) -> Iterator[Examination
     stored = check_traces(plan, ledger, same=same)
     yield stored
     drawing.on_progress("the report from the ledger")
-    again = drawing.runs != 0 and stored.stands
+    there = not plan.world.program or plan.world.is_installed
+    again = drawing.runs != 0 and stored.stands and there
     if (proof := check_proof(report)) is not None:
         yield proof
     numbers, gathered = check_numbers(report, again=again)
@@ -229,7 +232,7 @@ def _refuse_to_execute(plan: Plan, runs: int | None, execute_programs: bool) -> 
     programs = programs_in(plan)
     if programs and runs != 0 and not execute_programs:
         raise InputError(
-            place=Place(file=plan.file, field="avoider"),
+            place=Place(file=plan.file, field="world" if programs[0] == plan.world.label else "avoider"),
             expected="--execute-programs, since repeated runs execute the program in the report",
             got=programs[0],
             hint="or --runs 0, which repeats no run",

@@ -14,9 +14,16 @@ from safety_harness.admission.avoiders import executes, is_executed
 from safety_harness.admission.trial import run_trial
 from safety_harness.base.exceptions import CampaignError, InputError, SafetyHarnessError, described
 from safety_harness.base.seeds import Branch, generator
-from safety_harness.cell.simulation.worlds import KINEMATIC, engine_elsewhere, world_of_trace
+from safety_harness.cell.simulation.worlds import (
+    KINEMATIC,
+    SIMULATOR,
+    engine_elsewhere,
+    is_simulator,
+    world_of_trace,
+)
 from safety_harness.claims.signals.true_motion import refuse_contradictions
 from safety_harness.extensions.assurance.campaign.episodes import EpisodeRunner, trace_of
+from safety_harness.extensions.assurance.campaign.identity import SIMULATOR as OF_SIMULATOR
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.plan import Plan
 from safety_harness.extensions.assurance.campaign.rows import ClaimJudgement, Row
@@ -115,11 +122,12 @@ def _span(time_s: float) -> str:
 
 
 def programs_in(plan: Plan) -> list[str]:
-    """Return the Python and ONNX files that a run of the plan may execute, wherever its spaces name them."""
+    """Return the programs that a run of the plan may execute, wherever plan or spaces name them."""
     texts = [plan.avoider or ""]
+    simulators = {plan.world.label} if plan.world.program else set()
     for stratum in plan.strata:
         texts += [*stratum.space.simplest.parts_under_test, *references_in(stratum.space.tree)]
-    return sorted({text for text in texts if is_executed(text)})
+    return sorted(simulators | {text for text in texts if is_executed(text)})
 
 
 SAMPLED = "repulsive ways clear of"  # begins claims on samples of a path
@@ -327,6 +335,8 @@ def check_traces(plan: Plan, ledger: Ledger, *, same: bool) -> Examination:
         made = trace.provenance
         if (made.source_hash, made.python, made.world) != (source, python, plan.world.name):
             faults.append(f"{where}: its trace comes from other software, or from another world")
+        if (sha256 := declared.get(OF_SIMULATOR, "")) not in dict(made.libraries).get(SIMULATOR, ""):
+            faults.append(f"{where}: its simulator is not the declared one: {sha256}")
     notes = compared.notes
     if foreign and not same:
         notes += (f"{foreign} traces are of scenarios that the present software draws or writes otherwise",)
@@ -353,7 +363,8 @@ def check_searched(gathered: GatheredEvidence, *, same: bool, programs: bool) ->
         if example.shown.independent:
             continue
         trace, count = example.run.trace, count + 1
-        if executes(trace.scenario) and not programs:
+        executed = executes(trace.scenario) or is_simulator(trace.provenance.world)
+        if executed and not programs:
             unchecked.append(f"{example.shown.trace_file} is from a program, which verify does not execute")
             continue
         try:

@@ -13,6 +13,7 @@ from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.session import plan_of
 from safety_harness.extensions.assurance.certification.verify_runs import programs_in
 from safety_harness.report.attribution_job import attribute_all
+from safety_harness.search.attribution.attribute import ReplaysInWorld
 
 
 def attribute_ledger(path: Path, most: int, execute: bool, out: Path | None, confirm: bool) -> int:
@@ -34,5 +35,6 @@ def attribute_ledger(path: Path, most: int, execute: bool, out: Path | None, con
         violated = ViolatedEpisodes.first(ledger, most)
         say(violated.summary)
         episodes = violated_episodes(plan, violated, programs=execute)
-        attributed = attribute_all(episodes, len(violated.claims), "episodes", confirm, TERMINAL)
+        replays = ReplaysInWorld(plan.replay_world)
+        attributed = attribute_all(episodes, len(violated.claims), "episodes", confirm, TERMINAL, replays)
     return conclude(attributed, out)
