@@ -22,6 +22,7 @@ def rung(magnitude: float, *alarms: Alarm, caught: bool = False, confirmed: bool
         episodes=3,
         alarms=(*alarms, ALARM) if caught else alarms,
         confirmed=confirmed,
+        confirming="" if confirmed is None else "PyBullet",
     )
 
 

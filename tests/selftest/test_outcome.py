@@ -108,7 +108,7 @@ def test_the_table_has_a_cell_for_every_heading() -> None:
     faults, harmless = in_table(EVERY_KIND)
     assert all(len(row(one)) == len(HEAD) for one in faults)
     assert all(len(harmless_row(one)) == len(HARMLESS_HEAD) for one in harmless)
-    assert row(faults[0])[-1] == "too"
+    assert row(faults[0])[-1] == "PyBullet too"
     assert "nobody looks there" in row(faults[2])[2]
     assert markdown(("a",), [("x|y",)]) == ["| a |", "|---|", "| x\\|y |"]
 
@@ -121,7 +121,7 @@ def test_the_json_has_it_all_and_can_be_read(tmp_path: Path) -> None:
     assert found["tally"]["kill_rate"] == pytest.approx(1 / 3)
     first, second = found["faults"][:2]
     assert first["slightest_caught"] == "5 mm"
-    assert first["confirmed_in_pybullet"] is True
+    assert first["confirmed_in"] == ["PyBullet"]
     assert second["state"] == "survives"
     assert second["rungs"][0]["magnitude"] is None
 

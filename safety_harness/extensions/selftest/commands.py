@@ -28,6 +28,9 @@ def selftest(
     scenarios: Annotated[
         Path, Option(help="Folder with scenario files and spaces/, to try faults on.")
     ] = Path("shipped:scenarios"),
+    world: Annotated[
+        str, Option(help="The world of the runs: kinematic, MuJoCo, or your simulator, exec:COMMAND.")
+    ] = "kinematic",
     fault: Annotated[str | None, Option(help="Only faults with these words in their name.")] = None,
     out: Annotated[Path, Option(help="Folder for selftest.html and selftest.json.")] = Path(
         "reports/selftest"
@@ -41,6 +44,7 @@ def selftest(
     and the smallest caught magnitude. With --avoider or --controller the
     command seeds the faults into yours. Faults of avoider, gate and servoing
     apply only if your system has these parts; the table marks the rest.
+    With --world exec:COMMAND your simulator moves the arm in all runs.
     With --safety-filter the faults of a filter take the place of our shield's.
     Harmless changes run too, and must raise no alarm. The command keeps the
     results so far, whatever its exit code.
@@ -58,6 +62,7 @@ def selftest(
     from safety_harness.base.compiling import Pace
     from safety_harness.base.output import where
     from safety_harness.base.whole_file import writing
+    from safety_harness.cell.simulation.worlds import world_named
     from safety_harness.claims.properties.tally import table
     from safety_harness.cli.progress import paced_lines
     from safety_harness.extensions.assurance.certification.tools import FaultState
@@ -80,10 +85,12 @@ def selftest(
     tested = one_of(avoider, controller)
     again += [option_of(tested), tested] if tested is not None else []
     again += ["--safety-filter", safety_filter] if safety_filter is not None else []
+    again += ["--world", world] if world != "kinematic" else []
     again += ["--fault", fault] if fault is not None else []
     again += ["--out", str(display_path(out)), "--jobs", str(jobs)]
     try:
-        plan = SelfTestPlan(profile_named(profile), scenarios, tested, safety_filter)
+        chosen = world_named(world, "--world")
+        plan = SelfTestPlan(profile_named(profile), scenarios, tested, safety_filter, chosen)
         if jobs < 1:
             raise SettingsError.of_option("--jobs", "a number of at least 1", str(jobs))
         numbers = numbers_of(fault)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from safety_harness.base.whole_file import write_whole
-from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET
+from safety_harness.cell.simulation.worlds import KINEMATIC, world_labelled
 from safety_harness.claims.properties.tally import basis
 from safety_harness.extensions.assurance.certification.tools import FaultState
 from safety_harness.extensions.selftest.outcome import (
@@ -63,6 +63,7 @@ class SelfTestRun:
     platform: str
     generated_at: datetime
     safety_filter: str | None = None
+    world: str = KINEMATIC.label
     remarks: tuple[str, ...] = ()
     interrupted: bool = False
 
@@ -97,7 +98,7 @@ def _outcome(outcome: FaultOutcome) -> dict[str, Any]:
         "after_episodes": smallest.episodes if smallest else None,
         "slightest_caught": smallest.words if smallest else None,
         "survives": survivor.words if survivor else None,
-        "confirmed_in_pybullet": outcome.confirmed,
+        "confirmed_in": outcome.confirmed_in,
     }
 
 
@@ -115,7 +116,8 @@ def render(outcomes: Sequence[FaultOutcome], selftest: SelfTestRun, runs: Caught
     """Return the page as text, which is the same for the same arguments; it replays ``runs`` in 3-D."""
     faults, harmless = in_table(outcomes)
     replays = Replays()
-    worlds = [str(KINEMATIC), *[str(PYBULLET)] * any(case.confirmed is not None for case in outcomes)]
+    confirming = {rung.confirming for case in outcomes for rung in case.rungs if rung.confirming}
+    worlds = [str(world_labelled(selftest.world) or selftest.world), *sorted(confirming)]
     return render_page(
         "selftest.html.j2",
         package="safety_harness.extensions.selftest",

@@ -10,7 +10,7 @@ from safety_harness.extensions.selftest.fault import SeededFault
 from safety_harness.extensions.selftest.trial import Alarm, Geometry, Rung
 from safety_harness.report.words import count_words
 
-HEAD = ("part", "fault", "caught by", "in", "episodes", "slightest caught", "survives", "PyBullet")
+HEAD = ("part", "fault", "caught by", "in", "episodes", "slightest caught", "survives", "elsewhere")
 HARMLESS_HEAD = ("part", "change", "why it cannot matter", "episodes", "alarms", "hand distance by PyBullet")
 NONE = "-"
 
@@ -71,9 +71,16 @@ class FaultOutcome:
 
     @property
     def confirmed(self) -> bool | None:
-        """Whether PyBullet confirms the catch of the smallest caught magnitude; None if it did not run."""
+        """Whether a reference confirms the catch of the smallest caught magnitude; None if none ran."""
         smallest = self.smallest
         return smallest.confirmed if smallest else None
+
+    @property
+    def confirmed_in(self) -> list[str] | None:
+        """The references that confirm the smallest catch; None if none ran."""
+        if (smallest := self.smallest) is None or smallest.confirmed is None:
+            return None
+        return [smallest.confirming] * smallest.confirmed
 
 
 def outcome_of(fault: SeededFault, rungs: Sequence[Rung], *, applies: bool = True) -> FaultOutcome:
@@ -157,7 +164,11 @@ def row(outcome: FaultOutcome) -> tuple[str, ...]:
         str(smallest.episodes),
         smallest.words,
         survivor.words if survivor else NONE,
-        {True: "too", False: "not there", None: "not asked"}[outcome.confirmed],
+        {
+            True: f"{smallest.confirming} too",
+            False: f"not in {smallest.confirming}",
+            None: "not asked",
+        }[smallest.confirmed],
     )
 
 
@@ -191,7 +202,7 @@ def summary(tally: SelfTestTally) -> str:
         contradicted = tally.geometry_contradicted or "none"
         text += f"; PyBullet's geometry contradicts {contradicted} of {tally.geometry_runs} hand distances"
     if tally.unconfirmed:
-        text += f"; {tally.unconfirmed} not seen in PyBullet"
+        text += f"; {tally.unconfirmed} not seen in the reference"
     return text
 
 

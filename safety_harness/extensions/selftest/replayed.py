@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from safety_harness.admission.admit import Admitted
 from safety_harness.admission.claims import property_of
+from safety_harness.cell.simulation.worlds import KINEMATIC, WorldEntry
 from safety_harness.extensions.selftest.catalogue import EVERY
 from safety_harness.extensions.selftest.outcome import FaultOutcome
 from safety_harness.extensions.selftest.suite import claims_of
@@ -17,7 +18,10 @@ from safety_harness.report.replay import MOST_REPLAYS
 
 
 def caught_runs(
-    outcomes: Sequence[FaultOutcome], episodes: Sequence[Admitted], most: int = MOST_REPLAYS
+    outcomes: Sequence[FaultOutcome],
+    episodes: Sequence[Admitted],
+    world: WorldEntry = KINEMATIC,
+    most: int = MOST_REPLAYS,
 ) -> list[tuple[FaultOutcome, JudgedRun]]:
     """Return at most ``most`` faults, each with the run in which a claim caught its smallest magnitude.
 
@@ -28,7 +32,7 @@ def caught_runs(
     for outcome, rung, claim in _caught(outcomes):
         if claim in seen or len(runs) == most:
             continue
-        run = _again(outcome, rung, claim, episodes[rung.episodes - 1])
+        run = _again(outcome, rung, claim, episodes[rung.episodes - 1], world)
         if run is not None:
             seen.add(claim)
             runs.append((outcome, run))
@@ -42,13 +46,15 @@ def _caught(outcomes: Sequence[FaultOutcome]) -> Iterator[tuple[FaultOutcome, Ru
             yield outcome, outcome.smallest, outcome.alarm.claim
 
 
-def _again(outcome: FaultOutcome, rung: Rung, sentence: str, episode: Admitted) -> JudgedRun | None:
+def _again(
+    outcome: FaultOutcome, rung: Rung, sentence: str, episode: Admitted, world: WorldEntry
+) -> JudgedRun | None:
     """Return the run with the fault, judged by one claim only; None if ``sentence`` is no claim."""
     claims = [claim for claim in claims_of(episode.scenario) if claim.sentence == sentence]
     if not claims:
         return None
     (fault,) = (fault for fault in EVERY if fault.name == outcome.fault)
     around = fault.circumstance.bring_about(ChangedSystem(episode))
-    trace = fault.seed_into(around, rung.magnitude).run()
+    trace = fault.seed_into(around, rung.magnitude).run(world)
     judged = replace(trace, scenario=replace(trace.scenario, claims=tuple(claims[:1])))
     return JudgedRun(judged, (property_of(claims[0], trace.scenario).evaluate(trace),), "")

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -22,7 +22,7 @@ from safety_harness.base.compiled import source_hash
 from safety_harness.base.distribution import installed_version
 from safety_harness.base.exceptions import SettingsError, near_miss
 from safety_harness.base.pool import pool
-from safety_harness.cell.simulation.worlds import REFERENCE
+from safety_harness.cell.simulation.worlds import KINEMATIC, REFERENCE, WorldEntry
 from safety_harness.extensions.selftest.catalogue import EVERY
 from safety_harness.extensions.selftest.document import SelfTestRun, document, write_document, write_page
 from safety_harness.extensions.selftest.fault import SeededFault
@@ -54,7 +54,7 @@ class SelfTestSession:
 
     def __post_init__(self) -> None:
         self._episodes = self.plan.episodes()
-        self.remarks = tuple(sound_remarks(self._episodes))
+        self.remarks = tuple(sound_remarks(self._episodes, self.plan.world))
         self._begun_s = time.monotonic()
 
     @property
@@ -91,7 +91,7 @@ class SelfTestSession:
     def write_page(self) -> None:
         """Write the page, with runs in 3-D after a complete self-test; raise OSError if that fails."""
         whole = not (self.interrupted or self.broken)
-        runs = caught_runs(self.tried, self._episodes) if whole else []
+        runs = caught_runs(self.tried, self._episodes, self.plan.world) if whole else []
         write_page(self.out / PAGE, self.tried, self._facts(), runs)
 
     def _facts(self) -> SelfTestRun:
@@ -99,6 +99,7 @@ class SelfTestSession:
             profile=self.plan.profile.name,
             avoider=self.plan.avoider,
             safety_filter=self.plan.safety_filter,
+            world=self.plan.world.label,
             scenarios=str(self.plan.folder),
             episodes=len(self._episodes),
             planned=len(self.numbers),
@@ -129,7 +130,7 @@ def numbers_of(text: str | None) -> list[int]:
 def try_out(trials: FaultTrials, fault: SeededFault) -> FaultOutcome:
     """Return the outcome of ``fault``, tried down its ladder until a magnitude survives.
 
-    PyBullet repeats the smallest catch. A harmless change runs on the whole suite, and all its alarms are
+    A reference repeats the smallest catch. A harmless change runs on the whole suite, and all its alarms are
     kept.
     """
     if not trials.applies(fault):
@@ -143,8 +144,7 @@ def try_out(trials: FaultTrials, fault: SeededFault) -> FaultOutcome:
             break
     caught = [rung for rung in rungs if rung.caught]
     if caught:
-        confirmed = trials.confirmed(fault, caught[-1])
-        rungs[len(caught) - 1] = replace(caught[-1], confirmed=confirmed)
+        rungs[len(caught) - 1] = trials.confirmed(fault, caught[-1])
     return outcome_of(fault, rungs)
 
 
@@ -152,7 +152,7 @@ _TRIALS: list[FaultTrials] = []  # of this process
 
 
 def _begin(plan: SelfTestPlan) -> None:
-    _TRIALS[:] = [FaultTrials(plan.episodes())]
+    _TRIALS[:] = [FaultTrials(plan.episodes(), plan.world)]
 
 
 def _try(number: int) -> FaultOutcome:
@@ -162,7 +162,7 @@ def _try(number: int) -> FaultOutcome:
 def outcomes(plan: SelfTestPlan, numbers: list[int], jobs: int) -> Iterator[FaultOutcome]:
     """Yield the outcome of each fault of ``numbers`` when it is finished; with one job, in this process."""
     if jobs == 1:
-        trials = FaultTrials(plan.episodes())
+        trials = FaultTrials(plan.episodes(), plan.world)
         yield from (try_out(trials, EVERY[number]) for number in numbers)
         return
     with pool(jobs, partial(_begin, plan)) as processes:
@@ -170,7 +170,7 @@ def outcomes(plan: SelfTestPlan, numbers: list[int], jobs: int) -> Iterator[Faul
             yield future.result()
 
 
-def sound_remarks(episodes: Sequence[Admitted]) -> list[str]:
+def sound_remarks(episodes: Sequence[Admitted], world: WorldEntry = KINEMATIC) -> list[str]:
     """Return remarks on the sound system: a slow or unrepeatable avoider, or parts that are missing."""
     with_avoider = [(n, episode) for n, episode in enumerate(episodes) if episode.driver is None]
     avoiders = {episode.avoider.name: number for number, episode in reversed(with_avoider)}
@@ -178,10 +178,10 @@ def sound_remarks(episodes: Sequence[Admitted]) -> list[str]:
     if len(with_avoider) < len(episodes):
         notes.append("no avoider and no gate: faults of theirs, and of the visual servo itself, do not apply")
     if not REFERENCE.is_installed:
-        notes.append(f"{REFERENCE} is not installed: no check by its world or its geometry")
+        notes.append(f"{REFERENCE} is not installed: no check by its geometry")
     for name, number in avoiders.items():
         system = ChangedSystem(episodes[number])
-        repeated = evaluations_of(system.admitted, system.run())[SAME_TWICE]
+        repeated = evaluations_of(system.admitted, system.run(world))[SAME_TWICE]
         if repeated.verdict is not Verdict.HOLDS:
             notes.append(f"{name} is not repeatable even without a fault: {repeated.reason}")
     return notes

@@ -15,7 +15,7 @@ from safety_harness.admission.spaces import draw_admissible
 from safety_harness.base.exceptions import InputError, Place, ScenarioError, near_miss
 from safety_harness.base.seeds import Branch, seed
 from safety_harness.base.shipped.contents import located
-from safety_harness.cell.simulation.worlds import KINEMATIC
+from safety_harness.cell.simulation.worlds import KINEMATIC, WorldEntry
 from safety_harness.claims.properties.catalogue import CATALOGUE
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import Claim, Scenario, Verdict
@@ -80,20 +80,21 @@ def profile_named(name: str) -> SelfTestProfile:
 class SelfTestPlan:
     """The profile of a self-test, the folder of scenarios, and the ``avoider`` that replaces their own.
 
-    ``safety_filter`` is the user's filter that each scenario gets, if any.
+    ``safety_filter`` is the user's filter that each scenario gets, if any. ``world`` is that of all runs.
     """
 
     profile: SelfTestProfile
     folder: Path
     avoider: str | None
     safety_filter: str | None = None
+    world: WorldEntry = KINEMATIC
 
     def episodes(self) -> tuple[Admitted, ...]:
         """Return the episodes, at least one, in the order in which they are tried.
 
         The TELLING scenarios of ``folder`` come first, then the other scenarios, then draws of the folder's
         spaces. A profile without ``others`` omits the other scenarios if there are any telling ones.
-        Scenarios that only PyBullet can run are always omitted.
+        Scenarios that the world cannot run are always omitted.
 
         The method raises InputError if a file cannot be used, or if no episode is left.
         """
@@ -118,16 +119,16 @@ class SelfTestPlan:
         if not episodes:
             raise ScenarioError(
                 place=Place(field="--scenarios"),
-                expected="a scenario that the kinematic world can run",
+                expected=f"a scenario that {self.world} can run",
                 got=f"no such scenario among {len(ordered)} in {self.folder}",
             )
         return tuple(episodes)
 
     def _admitted(self, scenarios: Iterable[Scenario]) -> Iterator[Admitted]:
-        """Admit and yield the scenarios that the kinematic world can run."""
+        """Admit and yield the scenarios that the world can run."""
         for scenario in scenarios:
             try:
-                KINEMATIC.refuse(scenario)
+                self.world.refuse(scenario)
             except InputError:
                 continue
             tested = scenario if self.avoider is None else with_avoider(scenario, self.avoider)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 from safety_harness.admission.admit import Admitted
 from safety_harness.admission.claims import property_of
 from safety_harness.base.exceptions import FlakyAvoiderError, described
 from safety_harness.cell.avoidance.avoider import spread_threshold_of
 from safety_harness.cell.avoidance.flaky import refuse_flaky
-from safety_harness.cell.simulation.worlds import KINEMATIC, REFERENCE, WorldEntry
+from safety_harness.cell.simulation.worlds import KINEMATIC, REFERENCE, WorldEntry, references
 from safety_harness.claims.properties.base import Evaluation, Unit
 from safety_harness.claims.properties.hand_distance import HAND_DISTANCE
 from safety_harness.claims.properties.shield_theorem import REFUTED
@@ -89,8 +90,8 @@ class Geometry:
 class Rung:
     """One magnitude of a fault, the number of episodes tried with it, and the alarms.
 
-    ``alarms`` are all alarms of the episode that caught the fault. ``confirmed`` states whether PyBullet
-    confirms the catch; None if it did not run. Only harmless changes have a ``geometry``.
+    ``alarms`` are all alarms of the episode that caught the fault. ``confirmed`` states whether the
+    reference ``confirming`` shows the catch too; None if none ran. Only harmless changes have a ``geometry``.
     """
 
     magnitude: float
@@ -98,6 +99,7 @@ class Rung:
     episodes: int
     alarms: tuple[Alarm, ...] = ()
     confirmed: bool | None = None
+    confirming: str = ""
     geometry: Geometry | None = None
 
     @property
@@ -111,6 +113,7 @@ class FaultTrials:
     """A trial that runs faults on a suite of episodes, and keeps the results of the sound system."""
 
     episodes: tuple[Admitted, ...]
+    world: WorldEntry = KINEMATIC
     _sound: dict[tuple[int, str, str], Evaluations] = field(default_factory=dict)
 
     def applies(self, fault: SeededFault) -> bool:
@@ -153,7 +156,7 @@ class FaultTrials:
         return Rung(magnitude=magnitude, words=text, episodes=number + 1, alarms=alarms)
 
     def alarms(
-        self, fault: SeededFault, magnitude: float, number: int, world: WorldEntry = KINEMATIC
+        self, fault: SeededFault, magnitude: float, number: int, world: WorldEntry | None = None
     ) -> tuple[Alarm, ...]:
         """Return the claims that hold without the fault but are violated with it, in one episode."""
         sound, faulty, _ = self._with_and_without(fault, magnitude, number, world)
@@ -179,21 +182,28 @@ class FaultTrials:
             geometry=geometry,
         )
 
-    def confirmed(self, fault: SeededFault, rung: Rung) -> bool | None:
-        """Return whether a claim that caught the fault is violated in PyBullet too.
+    def confirmed(self, fault: SeededFault, rung: Rung) -> Rung:
+        """Return ``rung`` with whether a claim that caught the fault is violated in another reference too.
 
-        The result is None if PyBullet is not installed.
+        The rung is returned unchanged if no other reference is installed.
         """
-        if not REFERENCE.is_installed:
-            return None
-        there = self.alarms(fault, rung.magnitude, rung.episodes - 1, REFERENCE)
-        return bool({alarm.claim for alarm in there} & {alarm.claim for alarm in rung.alarms})
+        if (reference := self.confirming) is None:
+            return rung
+        there = self.alarms(fault, rung.magnitude, rung.episodes - 1, reference)
+        shared = {alarm.claim for alarm in there} & {alarm.claim for alarm in rung.alarms}
+        return replace(rung, confirmed=bool(shared), confirming=reference.label)
+
+    @cached_property
+    def confirming(self) -> WorldEntry | None:
+        """The first installed reference other than the world of the runs; None if there is none."""
+        return next((world for world in references() if world.name != self.world.name), None)
 
     def _with_and_without(
-        self, fault: SeededFault, magnitude: float, number: int, world: WorldEntry = KINEMATIC
+        self, fault: SeededFault, magnitude: float, number: int, world: WorldEntry | None = None
     ) -> tuple[Evaluations, Evaluations, Trace | None]:
         """Return the evaluations without and with the fault, and the run with it; None if that run failed."""
         system = fault.circumstance.bring_about(ChangedSystem(self.episodes[number]))
+        world = world or self.world
         key = (number, fault.circumstance.name, world.name)
         if key not in self._sound:
             run = system.run(world)

@@ -39,7 +39,7 @@ def test_a_fault_is_caught_and_written_down(
     assert "1 of 1 fault caught" in printed
     found = json.loads((tmp_path / DATA).read_text("utf-8"))
     assert found["faults"][0]["caught_by"] == "TCP speed never above 250 mm/s"
-    assert found["faults"][0]["confirmed_in_pybullet"] is True
+    assert found["faults"][0]["confirmed_in"] == ["PyBullet"]
     assert "overspeed" in (tmp_path / PAGE).read_text("utf-8")
 
 
