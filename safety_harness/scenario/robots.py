@@ -246,7 +246,7 @@ class OwnRobot:
     package: str | None = key(
         "package",
         Text(kind="name", expected="the name of a URDF in an installed package"),
-        "a URDF of an installed package, in place of `urdf` ([robots](how-to/robot.md))",
+        "a URDF of an installed package; where it is missing, `urdf` ([robots](how-to/robot.md))",
         "pybullet/kuka_iiwa/model",
         default=None,
     )
@@ -447,9 +447,8 @@ def read_robot(field: Field | Robot, carried: Mapping[str, bytes]) -> AnyRobot:
         if "arm" in given:
             arm = (_path(given.required("arm")),)
             given = Fields(field, _keys_of_file(given.required("arm")).by_key | given.by_key)
-    if ("urdf" in given) == ("package" in given):
-        got = "both" if "urdf" in given else "neither"
-        raise given.whole.error('one of the keys "urdf" and "package"', got=got)
+    if "urdf" not in given and "package" not in given:
+        raise given.whole.error('the key "urdf" or "package"', got="neither")
     values = _OWN.values(given)
     urdf = _urdf(given, carried)
     values["urdf_text"] = _text(given, "urdf", urdf, MAX_URDF_BYTES, carried)
@@ -503,8 +502,8 @@ def _named_from(whole: Field, field: Field) -> str:
 
 
 def _urdf(given: Fields, carried: Mapping[str, bytes]) -> Path:
-    """Return the path of the URDF; the file need not exist if its text is carried."""
-    if "urdf" in given:
+    """Return the path of the package's URDF, or the arm's own; it need not exist if its text is carried."""
+    if "package" not in given:
         return _path(given.required("urdf"))
     package = given.required("package")
     text = package.sentence("the name of a URDF in an installed package")
@@ -514,6 +513,8 @@ def _urdf(given: Fields, carried: Mapping[str, bytes]) -> Path:
     except ScenarioError:
         if digest and _sha256(digest) in carried:
             return Path(text)
+        if "urdf" in given:
+            return _path(given.required("urdf"))
         raise
 
 

@@ -128,7 +128,8 @@ class StoredCapsule(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
 class StoredCapsules(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     """The content of a capsule file, with the SHA-256 of the URDF and of each mesh that they were fitted to.
 
-    The shipped files have no hashes, because their meshes lie beside them.
+    The shipped files have no hashes, because their meshes lie beside them. ``meshless_urdf_sha256`` is the
+    hash of a URDF of the same arm with these capsules as its shapes.
     """
 
     arm: str
@@ -137,6 +138,7 @@ class StoredCapsules(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     tcp: str = ""
     urdf_sha256: str = ""
     meshes_sha256: dict[str, str] = {}
+    meshless_urdf_sha256: str = ""
 
     def on(self, arm: ArmModel, file: Path) -> CapsuleSet:
         """Return the capsules on ``arm``; raise ``ArmFileError`` if they name links that it does not have."""
@@ -190,8 +192,10 @@ def read_capsules(
     stored = _stored(file, text)
     pairs = [("base", stored.base, arm.link_names[0]), ("tcp", stored.tcp, arm.tcp_link)]
     found_urdf, meshes = (urdf_sha256, stored.meshes_sha256) if urdf_sha256 else hashes_of(arm)
-    pairs.append((f"{arm.file} with the SHA-256", stored.urdf_sha256, found_urdf))
-    named = stored.meshes_sha256
+    meshless = found_urdf == stored.meshless_urdf_sha256
+    fitted_to = stored.meshless_urdf_sha256 if meshless else stored.urdf_sha256
+    pairs.append((f"{arm.file} with the SHA-256", fitted_to, found_urdf))
+    named = meshes if meshless else stored.meshes_sha256
     for uri in sorted(named.keys() | meshes.keys()):
         pairs.append((f"mesh {uri} with the SHA-256", named.get(uri, "none"), meshes.get(uri, "none")))
     for part, fitted_to, is_now in pairs:

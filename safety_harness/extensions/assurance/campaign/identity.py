@@ -29,6 +29,7 @@ from safety_harness.scenario.model import EDITION
 from safety_harness.scenario.nodes import TESTED, references_in
 from safety_harness.scenario.references import file_and_name
 from safety_harness.scenario.robots import AnyRobot, OwnRobot
+from safety_harness.scenario.urdf_packages import urdf_of_package
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.trace.provenance import provenance
 from safety_harness.trace.system import SystemUnderTest
@@ -214,9 +215,17 @@ def _packed(data: bytes, path: Path, names: dict[Path, str]) -> bytes:
 def _files_of(robot: AnyRobot) -> Iterator[Path]:
     """Yield the files and meshes of a user's arm, except the files of an installed package."""
     if isinstance(robot, OwnRobot):
-        yield from robot.files if robot.package is None else robot.files[1:]
+        packaged = _is_packaged(robot)
+        yield from robot.files[packaged:]
         shapes = (shape for link in arm_model(robot).links for shape in (*link.collision, *link.visual))
-        yield from {shape.file: None for shape in shapes if shape.file is not None and robot.package is None}
+        yield from {shape.file: None for shape in shapes if shape.file is not None and not packaged}
+
+
+def _is_packaged(robot: OwnRobot) -> bool:
+    """Return whether the arm's URDF lies in an installed package, from which its meshes come too."""
+    with suppress(ScenarioError):
+        return robot.package is not None and urdf_of_package(robot.package, Place()) == robot.files[0]
+    return False
 
 
 def _names(paths: Sequence[Path]) -> dict[Path, str]:
