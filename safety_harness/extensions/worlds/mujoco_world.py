@@ -15,6 +15,9 @@ from safety_harness.cell.simulation.world import AMPLE, RecordedWorld, overshoot
 from safety_harness.extensions.worlds.mujoco_model import PREFIX, cell_model
 from safety_harness.scenario.model import Scenario
 
+MOST_EXCHANGES = 1000  # an arm of six weak joints needs some tens at most
+ROUNDING_RADPS2 = 1e-6  # of accelerations; a sub-step makes less than 1e-8 rad/s of it
+
 
 class MujocoWorld(RecordedWorld):
     """A scenario in MuJoCo, to be used once, as a context manager.
@@ -79,8 +82,9 @@ class MujocoWorld(RecordedWorld):
         """Return the motors' torques (nv,), which give the joints the wanted speeds after this sub-step.
 
         A motor that would need more than its limit gives its limit; the other motors then need the torques
-        that hold their own speeds against its motion.  Forces of contacts and of joint stops are those of the
-        sub-step before; otherwise, an arm that presses on the table would turn its other joints away.
+        that hold their own speeds against its motion (``saturated_torques``).  Forces of contacts and of
+        joint stops are those of the sub-step before; otherwise, an arm that presses on the table would turn
+        its other joints away.
         """
         data = self._data
         need_radps2 = (self._wanted_radps - data.qvel) / self._step_s
@@ -88,21 +92,47 @@ class MujocoWorld(RecordedWorld):
         torques_nm = np.empty(self._model.nv)
         mujoco.mj_mulM(self._model, data, torques_nm, need_radps2)
         torques_nm += other_nm
-        at_limit = np.abs(torques_nm) > self._limit_nm
-        if not at_limit.any():
+        if not (np.abs(torques_nm) > self._limit_nm).any():
             return torques_nm
         self.saturated += 1
         mass = np.empty((self._model.nv, self._model.nv))
         mujoco.mj_fullM(self._model, data, mass)
-        while True:
-            free = ~at_limit
-            given_nm = np.sign(torques_nm[at_limit]) * self._limit_nm[at_limit]
-            moved_nm = given_nm - other_nm[at_limit] - mass[np.ix_(at_limit, free)] @ need_radps2[free]
-            radps2 = need_radps2.copy()
-            radps2[at_limit] = np.linalg.solve(mass[np.ix_(at_limit, at_limit)], moved_nm)
-            torques_nm = np.where(free, mass @ radps2 + other_nm, torques_nm)
-            torques_nm[at_limit] = given_nm
-            more = free & (np.abs(torques_nm) > self._limit_nm)
-            if not more.any():
-                return torques_nm
-            at_limit |= more
+        return saturated_torques(mass, other_nm, need_radps2, self._limit_nm)
+
+
+def saturated_torques(
+    mass: NDArray[np.float64],
+    other_nm: NDArray[np.float64],
+    need_radps2: NDArray[np.float64],
+    limit_nm: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return the torques (n,) of motors, some of which cannot give their joints the needed accelerations.
+
+    A motor at its limit never turns its joint beyond the need; otherwise, it would push the joint back and
+    forth.  So each joint has what it needs, or less than that with its motor at the upper limit, or more with
+    its motor at the lower limit.  For a mass matrix, exactly one solution exists.  Exchanging only the first
+    joint that contradicts this finds it (Murty's least-index rule).
+
+    Args:
+        mass: The mass matrix (n, n).
+        other_nm: The torques (n,) that the motors need without an acceleration.
+        need_radps2: The accelerations (n,) that all joints need.
+        limit_nm: The limits (n,) of the torques.
+
+    """
+    at_end = np.zeros(len(need_radps2))  # 1 for a motor at its upper limit, -1 at its lower one, otherwise 0
+    for _ in range(MOST_EXCHANGES):
+        weak, free = at_end != 0.0, at_end == 0.0
+        torques_nm, radps2 = np.empty_like(need_radps2), need_radps2.copy()
+        torques_nm[weak] = at_end[weak] * limit_nm[weak]
+        moved_nm = torques_nm[weak] - other_nm[weak] - mass[np.ix_(weak, free)] @ need_radps2[free]
+        radps2[weak] = np.linalg.solve(mass[np.ix_(weak, weak)], moved_nm)
+        torques_nm[free] = mass[free] @ radps2 + other_nm[free]
+        beyond_limit = free & (np.abs(torques_nm) > limit_nm)
+        beyond_need = weak & (at_end * (radps2 - need_radps2) > ROUNDING_RADPS2)
+        contradicting = np.flatnonzero(beyond_limit | beyond_need)
+        if not len(contradicting):
+            break
+        first = contradicting[0]
+        at_end[first] = np.sign(torques_nm[first]) if free[first] else 0.0
+    return np.asarray(np.clip(torques_nm, -limit_nm, limit_nm))
