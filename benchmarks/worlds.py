@@ -1,8 +1,8 @@
 """Do three worlds agree?  Run: python benchmarks/worlds.py [--random N] [--seed S] [--write].
 
-Every shipped scenario that needs no renderer, and N random ones of the shipped spaces, in PyBullet, MuJoCo
-and the kinematic world, judged by their own claims and by the whole catalogue.  Then a visit with motors of
-less and less torque, where physics must show.  --write keeps both tables in WORLDS.md.
+Every shipped scenario that needs no renderer, and N random ones of the shipped spaces with four arms, in
+PyBullet, MuJoCo and the kinematic world, judged by their own claims and by the whole catalogue.  Then a
+visit with motors of less and less torque, where physics must show.  --write keeps the tables in WORLDS.md.
 """
 
 from __future__ import annotations
@@ -15,10 +15,12 @@ import argparse
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
 
+import numpy as np
 from agreement import differences, properties_of, random_ones, shipped
 from results import revision
 
@@ -34,6 +36,7 @@ TABLE = Path(__file__).with_name("WORLDS.md")
 WORLDS = (PYBULLET, MUJOCO, KINEMATIC)
 SHARES = (1.0, 0.25, 0.22, 0.2, 0.15, 0.1)  # of the motors' torque limits
 VISIT = "shipped:hand-visits-and-leaves"
+ARMS = ("robot-iiwa14", "robot-panda", "robot-xarm6")  # scenarios of the cells of other arms
 
 
 @dataclass
@@ -67,6 +70,7 @@ class Compared:
     ticks: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
     physical: int = 0  # runs in which a motor saturated in MuJoCo
+    arms: dict[str, tuple[int, float]] = field(default_factory=dict)  # runs, rad apart
 
     def take(self, admitted: Admitted) -> None:
         """Run a scenario in every world; one with rendered images is left out."""
@@ -82,6 +86,9 @@ class Compared:
             self.seconds[world.name] = self.seconds.get(world.name, 0.0) + spent_s
         self.runs, self.ticks = self.runs + 1, self.ticks + len(traces["mujoco"].ticks)
         self.physical += bool(traces["mujoco"].overshoot_radps.any())
+        arm, largest = admitted.scenario.robot.label, differences(traces["pybullet"], traces["mujoco"])
+        runs, apart_rad = self.arms.get(arm, (0, 0.0))
+        self.arms[arm] = runs + 1, max(apart_rad, largest["joint position [rad]"])
         for worlds, pair in self.pairs.items():
             pair.take(admitted, *(traces[world.name] for world in worlds))
         if self.runs % 50 == 0:
@@ -99,9 +106,31 @@ class Compared:
         times = (f"{world.label} {1e6 * self.seconds[world.name] / self.ticks:.0f}" for world in WORLDS)
         yield f"Microseconds a tick, with control and sensors: {', '.join(times)}."
         yield f"A motor saturated in {self.physical} of {self.runs:,} runs."
+        yield ""
+        yield "| arm | runs | joints of PyBullet and MuJoCo apart by up to [rad] |"
+        yield "|---|---|---|"
+        for arm, (runs, apart_rad) in sorted(self.arms.items(), key=lambda item: -item[1][0]):
+            yield f"| {arm} | {runs:,} | {apart_rad:.2g} |"
         for worlds, pair in self.pairs.items():
             for line in pair.apart:
                 yield f"- {' and '.join(world.label for world in worlds)}: {line}"
+
+
+def of_arms(count: int, seed: int) -> Iterator[Admitted]:
+    """``count`` random scenarios: a quarter with the arm of the spaces, the others with the cells of ARMS."""
+    cells = [read_scenario(f"shipped:{name}") for name in ARMS]
+    yield from random_ones(count // (len(cells) + 1), seed)
+    for number, cell in enumerate(cells):
+        wanted = count // (len(cells) + 1)
+        draws = list(random_ones(3 * wanted, seed + number + 1))  # space by space
+        for k in np.random.default_rng(seed).permutation(len(draws)).tolist():
+            drawn = draws[k]
+            name, hands = f"{cell.name}, {drawn.scenario.name}", drawn.scenario.hands
+            with suppress(InadmissibleError):
+                yield admit(replace(cell, name=name, hands=hands, seed=drawn.scenario.seed))
+                wanted -= 1
+            if not wanted:
+                break
 
 
 def weak_motors() -> Iterator[str]:
@@ -130,7 +159,7 @@ def main() -> None:
     for admitted in shipped():
         compared.take(admitted)
     from_files = compared.runs
-    for admitted in random_ones(given.random, given.seed):
+    for admitted in of_arms(given.random, given.seed):
         compared.take(admitted)
     random = compared.runs - from_files
     text = "\n".join(
@@ -141,8 +170,8 @@ def main() -> None:
             "",
             "## Agreement",
             "",
-            f"{from_files} shipped and {random:,} random scenarios of six spaces, judged by their claims and",
-            "the whole catalogue.",
+            f"{from_files} shipped and {random:,} random scenarios of six spaces and four arms, judged by",
+            "their claims and the whole catalogue.",
             "",
             *compared.lines(),
             "",
