@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from safety_harness.admission.admit import admit
 from safety_harness.admission.agreement import measured_agreement
 from safety_harness.admission.avoiders import is_a_program
@@ -23,6 +25,7 @@ from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.trace.trace import Trace
 
 MOST_RERUNS = 12  # they take some seconds
+JOINTS = "position of a joint, beside the margins"
 NO_CELL = "Nothing here was measured on a real cell."
 
 
@@ -135,10 +138,12 @@ def _rerun(
         first = judge(trace)
         verdicts += len(first)
         try:
-            second = judge(run_trial(admit(change(trace.scenario)), world=world))
+            run = run_trial(admit(change(trace.scenario)), world=world)
+            second = judge(run)
         except Exception:  # a user's program may raise anything
             changed += len(first)
             continue
+        _note_joints(largest, trace, run)
         for old, new in zip(first, second, strict=True):
             changed += old.verdict is not new.verdict
             optimistic += old.verdict is Verdict.HOLDS and new.verdict is Verdict.VIOLATED
@@ -153,6 +158,15 @@ def _rerun(
         optimistic=optimistic,
         largest=tuple((sentence, text) for sentence, (_, text) in largest.items()),
     )
+
+
+def _note_joints(largest: dict[str, tuple[float, str]], first: Trace, second: Trace) -> None:
+    """Record in ``largest`` how far the joints of two runs are apart; if equal, physics had no part."""
+    ends = min(len(first.ticks), len(second.ticks))
+    columns = [run.ticks["joint_position_rad"][:ends] for run in (first, second)]
+    apart_rad = float(np.abs(columns[1] - columns[0]).max(initial=0.0))
+    if apart_rad >= largest.get(JOINTS, (0.0, ""))[0]:
+        largest[JOINTS] = (apart_rad, f"{apart_rad:.3g} rad")
 
 
 def _note(largest: dict[str, tuple[float, str]], old: Evaluation, new: Evaluation) -> None:

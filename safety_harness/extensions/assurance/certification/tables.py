@@ -275,7 +275,7 @@ def rerun(known: Rerun) -> CellTable:
         f"{known.how}: {known.changed} of {known.verdicts} verdicts change, "
         f"{known.optimistic} of them from holds to violated.",
         known.largest,
-        {"Claim": lambda row: text_cell(row[0]), "Largest change of the margin": lambda row: number(row[1])},
+        {"Claim": lambda row: text_cell(row[0]), "Largest change": lambda row: number(row[1])},
     )
 
 

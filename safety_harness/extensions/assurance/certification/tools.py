@@ -45,7 +45,7 @@ class Rerun:
     """Declared random runs of this plan, repeated with one change: smaller physics steps, or another world.
 
     ``changed`` counts the verdicts that differ.  ``optimistic`` counts the changes from holds to violated.
-    ``largest`` has (claim, the largest change of its margin).
+    ``largest`` has (claim, the largest change of its margin), and how far the joints are apart.
     """
 
     place: str
