@@ -8,6 +8,7 @@ from safety_harness.extensions.selftest.gate_faults import GATE_FAULTS
 from safety_harness.extensions.selftest.harmless import HARMLESS
 from safety_harness.extensions.selftest.motion_faults import MOTION_FAULTS
 from safety_harness.extensions.selftest.perception_faults import PERCEPTION_FAULTS
+from safety_harness.extensions.selftest.predictor_faults import PREDICTOR_FAULTS
 from safety_harness.extensions.selftest.servoing_faults import SERVOING_FAULTS
 from safety_harness.extensions.selftest.shield_faults import SHIELD_FAULTS
 from safety_harness.extensions.selftest.timing_faults import TIMING_FAULTS
@@ -16,6 +17,7 @@ FAULTS = (
     *AVOIDER_FAULTS,
     *GATE_FAULTS,
     *PERCEPTION_FAULTS,
+    *PREDICTOR_FAULTS,
     *SERVOING_FAULTS,
     *MOTION_FAULTS,
     *SHIELD_FAULTS,

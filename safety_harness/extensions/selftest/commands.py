@@ -25,6 +25,10 @@ def selftest(
         str | None,
         Option(help="A safety filter for every scenario: FILE.py:NAME or a program.", metavar="FILTER"),
     ] = None,
+    predictor: Annotated[
+        str | None,
+        Option(help="A predictor for every scenario: FILE.py:NAME or a program.", metavar="PREDICTOR"),
+    ] = None,
     scenarios: Annotated[
         Path, Option(help="Folder with scenario files and spaces/, to try faults on.")
     ] = Path("shipped:scenarios"),
@@ -46,6 +50,7 @@ def selftest(
     apply only if your system has these parts; the table marks the rest.
     With --world exec:COMMAND your simulator moves the arm in all runs.
     With --safety-filter the faults of a filter take the place of our shield's.
+    With --predictor the faults of our Kalman filter do not apply.
     Harmless changes run too, and must raise no alarm. The command keeps the
     results so far, whatever its exit code.
 
@@ -85,12 +90,13 @@ def selftest(
     tested = one_of(avoider, controller)
     again += [option_of(tested), tested] if tested is not None else []
     again += ["--safety-filter", safety_filter] if safety_filter is not None else []
+    again += ["--predictor", predictor] if predictor is not None else []
     again += ["--world", world] if world != "kinematic" else []
     again += ["--fault", fault] if fault is not None else []
     again += ["--out", str(display_path(out)), "--jobs", str(jobs)]
     try:
         chosen = world_named(world, "--world")
-        plan = SelfTestPlan(profile_named(profile), scenarios, tested, safety_filter, chosen)
+        plan = SelfTestPlan(profile_named(profile), scenarios, tested, safety_filter, predictor, chosen)
         if jobs < 1:
             raise SettingsError.of_option("--jobs", "a number of at least 1", str(jobs))
         numbers = numbers_of(fault)

@@ -63,6 +63,7 @@ class SelfTestRun:
     platform: str
     generated_at: datetime
     safety_filter: str | None = None
+    predictor: str | None = None
     world: str = KINEMATIC.label
     remarks: tuple[str, ...] = ()
     interrupted: bool = False

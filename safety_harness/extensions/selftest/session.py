@@ -99,6 +99,7 @@ class SelfTestSession:
             profile=self.plan.profile.name,
             avoider=self.plan.avoider,
             safety_filter=self.plan.safety_filter,
+            predictor=self.plan.predictor,
             world=self.plan.world.label,
             scenarios=str(self.plan.folder),
             episodes=len(self._episodes),

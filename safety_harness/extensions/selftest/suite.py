@@ -80,13 +80,15 @@ def profile_named(name: str) -> SelfTestProfile:
 class SelfTestPlan:
     """The profile of a self-test, the folder of scenarios, and the ``avoider`` that replaces their own.
 
-    ``safety_filter`` is the user's filter that each scenario gets, if any. ``world`` is that of all runs.
+    ``safety_filter`` is the user's filter that each scenario gets, if any, and ``predictor`` the predictor of
+    each scenario with the visual servo. ``world`` is that of all runs.
     """
 
     profile: SelfTestProfile
     folder: Path
     avoider: str | None
     safety_filter: str | None = None
+    predictor: str | None = None
     world: WorldEntry = KINEMATIC
 
     def episodes(self) -> tuple[Admitted, ...]:
@@ -134,6 +136,8 @@ class SelfTestPlan:
             tested = scenario if self.avoider is None else with_avoider(scenario, self.avoider)
             if self.safety_filter is not None:  # which takes the place of a shield
                 tested = with_part(replace(tested, shield=None), "safety_filter", self.safety_filter)
+            if self.predictor is not None and not scenario.driven:  # a controller does its own prediction
+                tested = with_part(tested, "predictor", self.predictor)
             yield admit(tested)
 
 
