@@ -21,6 +21,7 @@ LIMIT_NAMES = {
 }
 BY_FILTER = "safety filter"
 SPEEDS = {LIMIT_NAMES[Limit.TCP_SPEED], LIMIT_NAMES[Limit.JOINT_SPEED]}
+AS_MEANT = "are unit and scale of its actions as meant?"
 OFTEN = 0.15  # a share of commands at a limit of speed from which the scale of the actions is in doubt
 
 
@@ -109,5 +110,5 @@ def _line(name: str, counts: Counter[str], commands: int) -> str:
     parts = ", ".join(f"{limit} {count}" for limit, count in counts.most_common() if limit and count)
     share = counts[""] / commands
     often = max(counts[limit] for limit in SPEEDS) >= OFTEN * commands
-    hint = "; are unit and scale of its actions as meant?" if often else ""
+    hint = f"; {AS_MEANT}" if often else ""
     return f"{name}: {counts['']} of {commands} commands limited ({100.0 * share:.1f} %): {parts}{hint}"

@@ -61,6 +61,7 @@ PARTS = [
     (gather, "hazards_of"),
     (gather, "learned_of"),
     (gather, "untried_in"),
+    (gather, "limited_in"),
     (gather, "findings_of"),
     (gather, "stored_proof"),
     (gather, "read_notes"),

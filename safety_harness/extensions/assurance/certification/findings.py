@@ -45,7 +45,7 @@ def findings_of(
         ledger: The ledger of the runs.
         met: The counterexamples, or the reasons why the page cannot show them.
         searches: The searches of the strata.
-        of_stored: Findings on stored traces: traces that cannot be read, and parts that no run tried.
+        of_stored: Findings on stored traces: unreadable ones, parts that no run tried, and limited commands.
 
     """
     if not evidence.record.declaration_sha256:

@@ -54,6 +54,7 @@ from safety_harness.extensions.assurance.certification.stored import (
     Stored,
     calibration_of,
     coverage_of,
+    limited_in,
     random_traces,
     separation_of,
     untried_in,
@@ -69,6 +70,7 @@ from safety_harness.extensions.assurance.certification.verdicts import worst_sta
 from safety_harness.extensions.assurance.certification.whose_fault import whose_fault
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import in_words
+from safety_harness.trace.limiting import AS_MEANT
 from safety_harness.trace.provenance import provenance
 
 NO_SYSTEM = SystemDescription(under_test=(), card=(), limits=(), gate=(), settings=(), changed=())
@@ -217,9 +219,11 @@ def put_together(
         learned=guard.run("the account of the learned part", lambda: learned_of(plan, ledger, stored), None),
     )
     untried = guard.run("the list of what no run tried", lambda: untried_in(plan, stored), [])
+    limited = guard.run("the count of limited commands", lambda: limited_in(plan, stored), [])
+    doubted = [line for line in limited if AS_MEANT in line]
     findings = guard.run(
         "the list of findings",
-        lambda: tuple(findings_of(evidence, ledger, met, searches, [*damaged, *untried])),
+        lambda: tuple(findings_of(evidence, ledger, met, searches, [*damaged, *untried, *doubted])),
         (),
     )
     return GatheredEvidence(

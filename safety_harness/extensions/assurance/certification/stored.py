@@ -22,11 +22,14 @@ from safety_harness.extensions.assurance.certification.evidence import (
     SeparationCase,
     SeparationTerm,
 )
+from safety_harness.extensions.assurance.certification.guard import ReportGuard
 from safety_harness.extensions.assurance.certification.system import model_of
 from safety_harness.extensions.assurance.certification.tools import CellCount, CoverageOfRuns
 from safety_harness.report.evidence import JudgedRun
+from safety_harness.report.words import count_words
 from safety_harness.search.coverage import AXES, CoverageCell
 from safety_harness.search.coverage import Coverage as Cells
+from safety_harness.trace.limiting import limit_lines
 from safety_harness.trace.trace import Trace
 
 MOST_SUPPOSED = 100  # draws of a stratum for parts that no run tried
@@ -104,6 +107,28 @@ def untried_in(plan: Plan, stored: Sequence[Stored]) -> list[str]:
                 tried.join(title, parts, 0)
         lines += [f"{stratum.name}: {line}" for line in tried.lines(stratum.space, subject="kept runs")]
     return lines
+
+
+def limited_in(plan: Plan, stored: Sequence[Stored]) -> list[str]:
+    """Return how often limits and safety filters changed commands in the ``stored`` runs of each stratum."""
+    lines = []
+    for number, stratum in enumerate(plan.strata):
+        traces = [run.trace for run in stored if run.stratum == number]
+        head = f"{stratum.name}, in {count_words(len(traces), 'stored run', 'stored runs')}"
+        lines += [f"{head}: {line}" for line in limit_lines(traces)]
+    return lines
+
+
+def limited_lines(plan: Plan, ledger: Ledger) -> list[str]:
+    """Return the lines of ``limited_in`` on the stored random runs in ``ledger``.
+
+    Without a user's controller or safety filter, the result is empty and no trace is read. It is also empty
+    if the count fails, since the runs stay valid.
+    """
+    simplest = [plan.with_avoider(stratum.space.simplest) for stratum in plan.strata]
+    if not any(scenario.driven or scenario.safety_filter for scenario in simplest):
+        return []
+    return ReportGuard().run("limits", lambda: limited_in(plan, random_traces(plan, ledger)[0]), [])
 
 
 def judged_run(trace: Trace) -> JudgedRun:

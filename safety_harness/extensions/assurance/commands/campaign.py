@@ -213,6 +213,7 @@ def _run_episodes(
     from safety_harness.extensions.assurance.campaign.ledger import Ledger
     from safety_harness.extensions.assurance.campaign.session import processes, run_missing
     from safety_harness.extensions.assurance.campaign.summary import fallback_of
+    from safety_harness.extensions.assurance.certification.stored import limited_lines
     from safety_harness.extensions.assurance.commands.campaign_lines import tested_lines
     from safety_harness.extensions.assurance.commands.progress import watching_campaign
     from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
@@ -233,6 +234,7 @@ def _run_episodes(
     with Ledger.open(path, check=False) as ledger:
         finished = kind_of(path.parent) is FileKind.REPORT  # a report's manifest allows no further file
         state, drawn = _say_ledger(ledger), True
+        result(*(f"limits: {line}" for line in limited_lines(plan, ledger)))
         try:
             if not finished:
                 _write_page(ledger, state, path.with_suffix(".html"))

@@ -116,9 +116,11 @@ def certify(
     from safety_harness.claims.properties.base import close_to, far_words
     from safety_harness.claims.properties.tried import UNTRIED
     from safety_harness.cli.progress import TERMINAL
+    from safety_harness.extensions.assurance.campaign.ledger import Ledger
     from safety_harness.extensions.assurance.campaign.session import LEDGER
     from safety_harness.extensions.assurance.certification.argument import STATE
     from safety_harness.extensions.assurance.certification.findings import SHOWS_GATE
+    from safety_harness.extensions.assurance.certification.stored import limited_lines
     from safety_harness.extensions.assurance.certification.verdicts import overruling_line, percent
     from safety_harness.extensions.assurance.certification.verify_runs import programs_in
     from safety_harness.extensions.assurance.certify_job import certify as certify_plan
@@ -145,6 +147,8 @@ def certify(
     document(**plain(evidence), page=made.page)
     say(*(f"error: {text}" for text in evidence.unmade))
     result(*tested_lines(made.plan), *_shielded_lines(made.plan, made.folder / LEDGER))
+    with Ledger.open(made.folder / LEDGER, alone=True) as opened:
+        result(*(f"limits: {line}" for line in limited_lines(made.plan, opened)))
     for claim in evidence.claims:
         mark = {"holds": "ok  ", "violated": "NO  "}.get(STATE[claim.standing], "open")
         result(f"{mark} {claim.standing.value:<21} {claim.sentence}: {claim.why}")
