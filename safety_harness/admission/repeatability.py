@@ -36,7 +36,7 @@ from safety_harness.cell.avoidance.avoider import Avoider, shown_to
 from safety_harness.cell.avoidance.flaky import Asked, asked_in, difference
 from safety_harness.cell.avoidance.isolation.isolated import processes_apart
 from safety_harness.cell.simulation.worlds import SIMULATOR, is_simulator, world_of_trace
-from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.model import Driver, Scenario
 from safety_harness.trace.trace import Trace
 
 SHARE = 0.02  # the share of a command's time, without the start of the process
@@ -101,30 +101,33 @@ class RepeatabilityResult:
 class DrivenAgain(RepeatabilityResult):
     """The result of repeated runs: fresh controllers drove ``asked`` of ``questions`` runs again.
 
-    If ``of_avoider``, the visual servo drove these runs, with a fresh avoider that sees more than a trace
-    stores. If ``of_simulator``, the runs were in a user's simulator.
+    If ``of_avoider``, the visual servo drove these runs, with a fresh avoider. ``beside`` are the kinds of
+    other fresh parts: safety filter, predictor. If ``of_simulator``, the runs were in a user's simulator.
     """
 
     of_avoider: bool = False
+    beside: tuple[str, ...] = ()
     of_simulator: bool = False
     _repeated: ClassVar[str] = "runs"
 
     @property
     def who(self) -> str:
-        """The part that may have changed between two equal runs."""
-        if self.of_simulator:
-            return "simulator or the system in it"
-        return "avoider" if self.of_avoider else "controller"
+        """The parts that may have changed between two equal runs."""
+        return "simulator or the system in it" if self.of_simulator else " or its ".join(self._parts)
+
+    @property
+    def _parts(self) -> tuple[str, ...]:
+        return ("avoider" if self.of_avoider else "controller", *self.beside)
 
     @property
     def _alike(self) -> str:
         """The result on one line if all repeated runs are equal."""
         if not self.asked:
             return f"the {self.who} ended no run that could be driven again"
+        runs, fresh = f"{self.asked} of {self.questions} runs", " and ".join(self._parts)
         if self.of_simulator:
-            runs = f"{self.asked} of {self.questions} runs"
             return f"{runs} made again in the simulator, with a fresh system: the same to the last bit"
-        again = f"{self.asked} of {self.questions} runs driven again by a fresh {self.who}"
+        again = f"{runs} driven again by a fresh {fresh}"
         return f"{again}: the same to the last bit"
 
 
@@ -133,8 +136,9 @@ class DrivenRun:
     """A run that may be repeated: its name and world, a hash of its commands and angles, and a file's hash.
 
     ``controller_sha256`` is the hash of the controller's or avoider's file.  If ``asks``, the visual servo
-    drove the run and asked the avoider in that file.  ``parts`` are the references of the system's parts.
-    ``simulated`` states that the world is a user's simulator.
+    drove the run and asked the avoider in that file.  ``parts`` are the references of the system's parts, the
+    driver first, and ``beside`` the kinds of the parts after it.  ``simulated`` states that the world is a
+    user's simulator.
     """
 
     run: str
@@ -143,7 +147,13 @@ class DrivenRun:
     controller_sha256: str
     asks: bool = False
     parts: tuple[str, ...] = ()
+    beside: tuple[str, ...] = ()
     simulated: bool = False
+
+    @property
+    def driven(self) -> bool:
+        """Whether a controller other than the visual servo drove the run."""
+        return not self.parts or isinstance(self.parts[0], Driver)
 
 
 def driven_in(trace: Trace) -> DrivenRun | None:
@@ -162,9 +172,17 @@ def driven_in(trace: Trace) -> DrivenRun | None:
     beside = (trace.system.safety_filter, trace.system.predictor)
     sha256 = trace.system.tested.sha256 + "".join(part.sha256 for part in beside if part is not None)
     sha256 += dict(trace.provenance.libraries).get(SIMULATOR, "") if simulated else ""
-    asks = not (scenario.driven or scenario.has_parts_beside or simulated)
-    world, parts = trace.provenance.world, scenario.parts_under_test
-    return DrivenRun(scenario.name, world, digest, sha256, asks, parts, simulated)
+    kinds = {"safety filter": scenario.safety_filter, "predictor": scenario.predictor}
+    return DrivenRun(
+        scenario.name,
+        trace.provenance.world,
+        digest,
+        sha256,
+        not (scenario.driven or scenario.has_parts_beside or simulated),
+        scenario.parts_under_test,
+        tuple(kind for kind, reference in kinds.items() if reference),
+        simulated,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,19 +253,20 @@ class Repeatability:
     def _drive_again(self, allowed_s: float) -> RepeatabilityResult:
         """Repeat a sample of the runs for ``allowed_s`` seconds, but at least LEAST_RUNS runs."""
         begun_s, again, texts = time.monotonic(), 0, list[str]()
-        of_avoider = bool(self._driven) and all(run.asks for run, _ in self._driven)
-        simulated = any(run.simulated for run, _ in self._driven)
-        result = DrivenAgain(questions=self._runs, of_avoider=of_avoider, of_simulator=simulated)
+        of_avoider = bool(self._driven) and not any(run.driven for run, _ in self._driven)
+        result = DrivenAgain(
+            questions=self._runs,
+            of_avoider=of_avoider,
+            beside=tuple(dict.fromkeys(kind for run, _ in self._driven for kind in run.beside)),
+            of_simulator=any(run.simulated for run, _ in self._driven),
+        )
         least = max(LEAST_RUNS, len({run.parts for run, _ in self._driven}))
         for run, scenario in self._drawn_runs():
             if again >= least and time.monotonic() - begun_s > allowed_s:
                 break
             try:
-                chosen = scenario()
-                beside = {"safety filter": chosen.safety_filter, "predictor": chosen.predictor}
-                beside = {} if simulated else beside
-                who = " or its ".join([result.who, *(name for name, part in beside.items() if part)])
-                otherwise = _driven_otherwise(run, chosen, who)
+                who = replace(result, beside=run.beside).who
+                otherwise = _driven_otherwise(run, scenario(), who)
             except (InputError, SimulationError) as error:
                 problem = f"the {result.who} could not drive again: {printable(str(error))}"
                 return replace(result, asked=again, words=problem)
@@ -314,17 +333,13 @@ def _driven_otherwise(run: DrivenRun, scenario: Scenario, who: str) -> str:
     if again[0].controller_sha256 != run.controller_sha256:
         return f"the file of the {who} has changed since {run.run} was driven"
     if again[0].sha256 != again[1].sha256:
-        how = (
-            f"{run.run} differs in two turns"
-            if run.simulated
-            else f"two fresh ones drive {run.run} differently"
-        )
-        return f"the {who} does not repeat itself: {how}"
+        twice, fresh = f"{run.run} differs in two turns", f"two fresh ones drive {run.run} differently"
+        return f"the {who} does not repeat itself: {twice if run.simulated else fresh}"
     if again[0].sha256 != run.sha256 and run.simulated:
         return f"the {who} carries something over from earlier episodes: {run.run}, run again, differs"
     if again[0].sha256 != run.sha256:
         carries = f"the {who} carries something over from earlier episodes"
-        carries += "" if run.asks else ", or its act_many is not its act"
+        carries += ", or its act_many is not its act" if run.driven and not run.beside else ""
         return f"{carries}: a fresh one, alone, drives {run.run} otherwise"
     return ""
 

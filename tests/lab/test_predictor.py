@@ -395,7 +395,9 @@ def test_a_memory_of_earlier_episodes_is_noticed(name: str) -> None:
     repeatability = Repeatability()
     for _ in range(2):
         repeatability.add(run_kinematic(admitted))
-    assert "or its predictor" in repeatability.check().problem
+    problem = repeatability.check().problem
+    assert problem.startswith("the avoider or its predictor ")
+    assert "act_many" not in problem
 
 
 def test_of_many_predictors_each_is_repeated() -> None:
@@ -405,6 +407,7 @@ def test_of_many_predictors_each_is_repeated() -> None:
         repeatability.add(trace)
     result = repeatability.check()
     assert (result.asked >= 5, result.problem) == (True, "")
+    assert "driven again by a fresh avoider and predictor: the same to the last bit" in result.line
 
 
 def test_traces_keep_the_sets_and_refuse_lost_ones(ball: Trace, tmp_path: Path) -> None:

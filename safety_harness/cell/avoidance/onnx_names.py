@@ -30,10 +30,14 @@ MOST_FREE, MOST_WAYS, MOST_TRIED = 6, 3, 1000  # quantities laid out by shape, l
 
 @dataclass(frozen=True)
 class NamedQuantity:
-    """A quantity's ``sizes``, its axes after the first (None: any), and its ``types``, by numpy's names."""
+    """A quantity's ``sizes``, its axes after the first (None: any), and its ``types``, by numpy's names.
+
+    If ``in_chunks``, a tensor of such quantities may have k rows of columns: (1, k, columns).
+    """
 
     sizes: tuple[int, ...] | None
     types: tuple[str, ...]
+    in_chunks: bool = False
 
 
 Quantities = Mapping[str, NamedQuantity]
@@ -139,7 +143,8 @@ def _rests(quantities: Sequence[NamedQuantity]) -> list[tuple[int, ...]]:
     """
     widths = [ANY if quantity.sizes is None else prod(quantity.sizes) for quantity in quantities]
     columns = (ANY if ANY in widths else sum(widths),)
-    return [quantities[0].sizes or (), columns] if len(quantities) == 1 else [columns]
+    own: list[tuple[int, ...]] = [quantities[0].sizes or (), columns] if len(quantities) == 1 else [columns]
+    return [*own, (ANY, *columns)] if all(quantity.in_chunks for quantity in quantities) else own
 
 
 def _shape(quantities: Sequence[NamedQuantity]) -> list[int | str]:
@@ -159,7 +164,8 @@ def _fits(shape: Sequence[int | str | None], quantities: Sequence[NamedQuantity]
 def _layouts(free: Sequence[tuple[Any, Quantities]], missing: set[str], outputs: set[str]) -> Iterator[str]:
     """Yield the layouts that fit the shapes of the ``free`` tensors, each given with its possible quantities.
 
-    Every layout contains all ``missing`` quantities; it calls an output unused if no quantity fits it.
+    Every layout contains all ``missing`` quantities. It calls an output unused if no quantity fits it, unless
+    the file has no other output.
     """
     short, choices = {name: short_name for short_name, name in SHORT.items()}, []
     for tensor, known in free:
@@ -167,7 +173,7 @@ def _layouts(free: Sequence[tuple[Any, Quantities]], missing: set[str], outputs:
         every = [names for n in range(most) for names in combinations(known, n + 1)]
         fitting = [names for names in every if all(dtype_of(tensor) in known[name].types for name in names)]
         fitting = [names for names in fitting if _fits(tensor.shape, [known[name] for name in names])]
-        choices.append(fitting or [(UNUSED,)][: int(tensor.name in outputs)])
+        choices.append(fitting or [(UNUSED,)][: int(tensor.name in outputs and len(outputs) > 1)])
     for layout in islice(product(*choices), MOST_TRIED):
         laid = [name for names in layout for name in names if name != UNUSED]
         if len({*laid}) == len(laid) and missing <= {*laid}:

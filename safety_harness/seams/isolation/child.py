@@ -85,7 +85,8 @@ def _made(kind: ServedKind, message: Make, path: Path, wanted: dict[str, Any]) -
         os.chdir(wanted["folder"])
         return kind.make(message, path, wanted)
     except InputError as error:
-        reason = error.expected, error.got, error.hint, error.place.field or ""
+        field = error.place.field if error.place.file is not None else None  # otherwise the reference's own
+        reason = error.expected, error.got, error.hint, field or ""
     except BaseException as error:  # a user's code may raise anything
         reason = f"{wanted['name'] or path.name} to be {kind.what}", described(error, str(path)), "", ""
     return Refused(*map(printable, reason))

@@ -182,7 +182,8 @@ def refusing(
         error: The class to raise.
         expected: The expectation that the error states if the process is gone.
         within_s: The time limit [s] that the error states if the process hung.
-        place: The place of the error. None: the field of ``file`` that the process reports.
+        place: The place of the error, which then names the field that the process reports. None: this field
+            of ``file``.
         file: The user's file.
 
     """
@@ -190,7 +191,9 @@ def refusing(
         yield
     except RefusedError as refusal:
         at = place or Place(file=file, field=refusal.field or None)
-        raise error(place=at, expected=refusal.expected, got=refusal.got, hint=refusal.hint) from refusal
+        named = f"{refusal.field}: " if refusal.field and place is not None else ""
+        got = named + refusal.got
+        raise error(place=at, expected=refusal.expected, got=got, hint=refusal.hint) from refusal
     except GoneError as gone:
         limit = f" within {within_s:g} s" if gone.hung else ""
         raise error(place=place or Place(file=file), expected=expected + limit, got=str(gone)) from gone

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from safety_harness.admission.repeatability import RepeatabilityResult
+from safety_harness.admission.repeatability import DrivenAgain, RepeatabilityResult
 from safety_harness.base.exceptions import LedgerError, OutputError, StatisticsError
 from safety_harness.extensions.assurance.campaign import opening
 from safety_harness.extensions.assurance.campaign.episodes import failed_row
@@ -152,6 +152,15 @@ def test_what_was_asked_again_is_kept_of_all_sessions_and_one_difference_is_not_
         assert ledger.repeated.line == "it remembers; 2 of 80 answers differ"
         with pytest.raises(StatisticsError, match=r"no bound is stated .it remembers; 2 of 80"):
             ledger.sample("near", claim)
+
+
+@pytest.mark.parametrize("beside", [(), ("predictor",), ("safety filter", "predictor")])
+def test_the_parts_that_drove_again_are_kept(beside: tuple[str, ...], tmp_path: Path, plan: Plan) -> None:
+    result = DrivenAgain(questions=4, asked=2, of_avoider=True, beside=beside)
+    with ledger_in(tmp_path, plan) as ledger:
+        ledger.note_repeated(result)
+        assert ledger.repeated == result
+        assert f"by a fresh {' and '.join(('avoider', *beside))}: " in ledger.repeated.line
 
 
 def test_the_ledger_of_a_program_that_never_asked_again_is_still_read(tmp_path: Path, plan: Plan) -> None:

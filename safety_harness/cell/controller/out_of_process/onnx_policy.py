@@ -40,7 +40,7 @@ MOVES = ("tcp_velocity_mps", "tcp_angular_velocity_radps", "joint_velocity_radps
 STOP, NEXT, NAME, TICKS, HORIZON = "stop", "next_", "name", "ticks", "horizon"
 MOST_TICKS = 1000
 TYPES = (*FLOATS, "int8", "int64", "uint8", "bool")
-GIVEN = {name: NamedQuantity((ANY if name == MOVES[2] else 3,), TYPES) for name in MOVES}
+GIVEN = {name: NamedQuantity((ANY if name == MOVES[2] else 3,), TYPES, in_chunks=True) for name in MOVES}
 GIVEN |= {STOP: NamedQuantity((), TYPES)}
 
 

@@ -103,11 +103,12 @@ def _is_recording(file: PlanFile) -> bool:
 
 # Bits of how questions were repeated: in another process, by new runs, in one call, by a fresh avoider.
 BY_PROCESS, BY_RUNS, TOGETHER, OF_AVOIDER = 1, 2, 4, 8
+BESIDE = {"safety filter": 16, "predictor": 32}  # bits of further fresh parts of new runs
 
 
 def _how(result: RepeatabilityResult) -> int:
     if isinstance(result, DrivenAgain):
-        return BY_RUNS + OF_AVOIDER * result.of_avoider
+        return BY_RUNS + OF_AVOIDER * result.of_avoider + sum(BESIDE[kind] for kind in result.beside)
     return BY_PROCESS * result.apart + TOGETHER * result.together
 
 
@@ -395,8 +396,14 @@ class Ledger:
         questions, asked_again, differing = (sum(row[k] for row in rows) for k in range(3))
         kind: Callable[..., RepeatabilityResult] = RepeatabilityResult
         if any(row[4] & BY_RUNS for row in rows):
-            of_avoider, of_simulator = any(row[4] & OF_AVOIDER for row in rows), self.declared.world.program
-            kind = partial(DrivenAgain, of_avoider=of_avoider, of_simulator=of_simulator)
+            beside = tuple(kind for kind, bit in BESIDE.items() if any(row[4] & bit for row in rows))
+            of_avoider = any(row[4] & OF_AVOIDER for row in rows)
+            kind = partial(
+                DrivenAgain,
+                of_avoider=of_avoider,
+                beside=beside,
+                of_simulator=self.declared.world.program,
+            )
         return kind(
             questions=questions,
             asked=asked_again,

@@ -159,6 +159,51 @@ def test_a_policy_whose_chunk_is_not_declared_is_refused_before_the_run(
         run("shipped:first-run", controller=tmp_path / "chunks.onnx", world="kinematic")
 
 
+def test_metadata_of_a_wrong_type_are_refused_by_their_name(tmp_path: Path) -> None:
+    (tmp_path / "chunks.onnx").write_bytes(expanding(1, 8, 3, horizon="four"))
+    with pytest.raises(InputErrors, match=r"expected a number from 1 to 1000; got horizon: 'four'"):
+        run("shipped:first-run", controller=tmp_path / "chunks.onnx", world="kinematic")
+
+
+def renamed(data: bytes, name: str) -> bytes:
+    """The file with another name of its output."""
+    model = onnx.load_from_string(data)
+    model.graph.node[-1].output[0] = model.graph.output[0].name = name
+    return bytes(model.SerializeToString())
+
+
+def test_a_chunk_under_another_name_is_laid_out_and_never_called_unused() -> None:
+    data = renamed(expanding(1, 8, 3, horizon="4"), "action")
+    with pytest.raises(ModelError) as caught:
+        begun(data)
+    assert (
+        caught.value.hint == "a layout says what each holds: mine.onnx:NAME=QUANTITY,QUANTITY,NAME=QUANTITY"
+    )
+    made = begun(data, f"action={VELOCITY}")
+    assert moved(made.act(seen(made.sees, (0.1, 0.0, 0.0)))) == [0.1, 0.0, 0.0]
+
+
+def test_a_chunk_of_both_velocities_under_another_name_is_laid_out() -> None:
+    model = onnx.load_from_string(renamed(expanding(1, 8, 3, horizon="4"), "action"))
+    model.graph.node.append(onnx.helper.make_node("Concat", ["action", "action"], ["both"], axis=2))
+    model.graph.output[0].name = "both"
+    model.graph.output[0].type.tensor_type.shape.dim[2].dim_value = 6
+    with pytest.raises(ModelError) as caught:
+        begun(model.SerializeToString())
+    assert "unused" not in caught.value.hint
+    made = begun(model.SerializeToString(), f"both={VELOCITY},tcp_angular_velocity_radps")
+    action = made.act(seen(made.sees, (0.1, 0.0, 0.0)))
+    assert moved(action) == [0.1, 0.0, 0.0]
+    assert action.tcp_angular_velocity_radps.tolist() == [0.1, 0.0, 0.0]  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("shape", [(8, 3), (1, 8, 4, 3)])
+def test_the_only_output_is_never_called_unused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(ModelError) as caught:
+        begun(renamed(expanding(*shape), "action"))
+    assert "unused" not in caught.value.hint
+
+
 def test_hands_come_as_rows_with_flags() -> None:
     first = [("Slice", ["hands", "zero", "one64", "one64"], ["first"])]
     data = policy(
