@@ -142,6 +142,74 @@ def test_too_few_errors_give_no_radius() -> None:
     assert example("calibrate_predictor").quantile(np.ones(18), 0.95) == math.inf
 
 
+@pytest.mark.parametrize(("count", "level", "calibration"), [(20, 0.95, 19), (41, 0.95, 30), (2, 0.5, 1)])
+def test_nobody_is_in_both_the_calibration_and_the_test(count: int, level: float, calibration: int) -> None:
+    split = example("calibrate_predictor").split
+    names = [f"person {k}" for k in range(count)]
+    first, second = split(names, level, 1)
+    assert (len(first), len(second)) == (calibration, count - calibration)
+    assert sorted([*first, *second]) == sorted(names)
+    assert split(names[::-1], level, 1) == (first, second)  # whatever the order on the command line
+    assert len({tuple(split(names, level, seed)[0]) for seed in range(9)}) > 1
+
+
+@pytest.mark.parametrize(
+    ("count", "level", "words"),
+    [
+        (19, 0.95, "95 % needs 20 people, 19 for the calibration and 1 for the test; there are 19"),
+        (99, 0.99, "99 % needs 100 people, 99 for the calibration and 1 for the test; there are 99"),
+        (1, 0.5, "50 % needs 2 people, 1 for the calibration and 1 for the test; there are 1"),
+    ],
+)
+def test_too_few_people_are_refused_with_the_number_that_is_needed(
+    count: int, level: float, words: str
+) -> None:
+    with pytest.raises(ValueError, match=re.escape(words)):
+        example("calibrate_predictor").split([f"person {k}" for k in range(count)], level, 1)
+
+
+def test_people_are_named_by_words_or_by_their_folders(tmp_path: Path) -> None:
+    files = [tmp_path / name for name in ("anna/a.csv", "anna/b.csv", "ben/c.csv")]
+    for file in files:
+        file.parent.mkdir(exist_ok=True)
+        file.touch()
+    (tmp_path / "empty").mkdir()
+    people_of = example("calibrate_predictor").people_of
+    people = {"anna": files[:2], "ben": files[2:]}
+    assert people_of([f"anna={files[0]},{files[1]}", f"ben={files[2]}"]) == people
+    with pytest.raises(ValueError, match="empty has no recording"):
+        people_of([str(tmp_path)])
+    (tmp_path / "empty").rmdir()
+    assert people_of([str(tmp_path)]) == people
+    with pytest.raises(ValueError, match="belongs to two people, or twice to one"):
+        people_of([f"anna={files[0]}", f"ben={files[0]}"])
+    with pytest.raises(ValueError, match="anna is named twice"):
+        people_of([f"anna={files[0]}", f"anna={files[1]}"])
+    with pytest.raises(ValueError, match="anna has no recording, or one that is no file"):
+        people_of(["anna=absent.csv"])
+
+
+def test_a_person_counts_once_with_the_largest_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = example("calibrate_predictor")
+    monkeypatch.setattr(module, "recorded", lambda file, seed: float(file.stem))
+    monkeypatch.setattr(module, "error_m", lambda error_m: error_m)
+    names = [f"person {k}" for k in range(20)]
+    people = {name: [Path(f"0.{k}.csv"), Path(f"{k}.csv")] for k, name in enumerate(names, 1)}
+    calibration, (tested,) = module.split(names, 0.95, module.SEED)
+    radius_m, test_m = module.calibrate_on(people, 0.95)
+    assert radius_m == max(names.index(name) + 1 for name in calibration)
+    assert test_m == [names.index(tested) + 1]
+
+
+def test_a_recording_gives_one_error_at_the_instant_of_its_seed() -> None:
+    module = example("calibrate_predictor")
+    file = ROOT / "scenarios/recordings/collaborativehammering-2.csv"
+    few_m = [module.person_error_m([file], [seed]) for seed in (1, 1, 2)]
+    assert 0.0 < few_m[0] < 0.5
+    assert few_m[0] == few_m[1] != few_m[2]
+    assert module.person_error_m([file, file], [1, 2]) == max(few_m)
+
+
 def test_the_space_of_the_page_is_the_space_of_the_calibration(tmp_path: Path) -> None:
     (tmp_path / "page.yaml").write_text(block("scenario space:"))
     (tmp_path / "calibration.yaml").write_text(example("calibrate_predictor").SPACE)
