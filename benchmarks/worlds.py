@@ -12,6 +12,7 @@ import one_thread  # noqa: F401 (before every library that reads its variables)
 # isort: split
 
 import argparse
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -19,6 +20,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from agreement import differences, properties_of, random_ones, shipped
@@ -27,12 +29,13 @@ from results import revision
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.trial import run_trial
 from safety_harness.base.exceptions import InadmissibleError
-from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry
+from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry, world_named
 from safety_harness.extensions.worlds.mujoco_entry import MUJOCO
 from safety_harness.scenario.read import read_scenario
 from safety_harness.trace.trace import Trace
 
 TABLE = Path(__file__).with_name("WORLDS.md")
+EXAMPLES = Path(__file__).parents[1] / "examples" / "worlds"
 WORLDS = (PYBULLET, MUJOCO, KINEMATIC)
 SHARES = (1.0, 0.25, 0.22, 0.2, 0.15, 0.1)  # of the motors' torque limits
 VISIT = "shipped:hand-visits-and-leaves"
@@ -133,6 +136,25 @@ def of_arms(count: int, seed: int) -> Iterator[Admitted]:
                 break
 
 
+def times() -> Iterator[str]:
+    """A table of the time of a tick of one visit in each world, and in the example simulators."""
+    visit = admit(read_scenario(VISIT))
+    yield "| world | microseconds a tick |"
+    yield "|---|---|"
+    with TemporaryDirectory() as folder:
+        cell = f"{folder}/cell"
+        subprocess.run(["cc", "-O2", "-o", cell, EXAMPLES / "kinematic_cell.c"], check=True)
+        python = f"exec:{sys.executable} {EXAMPLES / 'kinematic_cell.py'}"
+        simulators = {"a simulator in Python": python, "a simulator in C": f"exec:{cell}"}
+        worlds = {str(world): world for world in WORLDS}
+        worlds |= {name: world_named(command, "world") for name, command in simulators.items()}
+        for name, world in worlds.items():
+            run_trial(visit, world=world)  # begins what the next runs use
+            begun_s, runs = time.perf_counter(), 5
+            ticks = sum(len(run_trial(visit, world=world).ticks) for _ in range(runs))
+            yield f"| {name} | {1e6 * (time.perf_counter() - begun_s) / ticks:.0f} |"
+
+
 def weak_motors() -> Iterator[str]:
     """A table of one visit with motors of less torque, of which neither servo nor admission knows."""
     strong = admit(replace(read_scenario(VISIT), duration_s=2.0, claims=()))
@@ -174,6 +196,12 @@ def main() -> None:
             "their claims and the whole catalogue.",
             "",
             *compared.lines(),
+            "",
+            "## Time of a tick",
+            "",
+            "With control, sensors and the motion between ticks, for one visit.",
+            "",
+            *times(),
             "",
             "## Motors that are too weak",
             "",
