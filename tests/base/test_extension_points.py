@@ -17,6 +17,7 @@ from toy_package import SHORT, WITHOUT_WINGS, called, install
 # A fresh process takes a second to load what each of these commands needs.  This one has it loaded, and each
 # command is done by a process that forks from it, so that none finds anything of another one.
 FORKS = """
+import gc
 import json
 import os
 import sys
@@ -25,6 +26,8 @@ from safety_harness import WORLDS, admit, judge, load_trace, read_scenario, run_
 from safety_harness.__main__ import main
 from safety_harness.cli.explain import explain_claims
 import safety_harness.cli.main
+gc.collect()
+gc.freeze()  # what is loaded is no child's to look through
 for line in sys.stdin:
     folder, code, words = json.loads(line)
     if (child := os.fork()) == 0:

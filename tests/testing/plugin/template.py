@@ -6,6 +6,8 @@ code is the line that comes back.  The plug-in is imported here and registered b
 
 from __future__ import annotations
 
+import atexit
+import gc
 import importlib
 import json
 import os
@@ -52,10 +54,16 @@ def main() -> None:
         importlib.import_module(f"_pytest.{name}")
     run = run_kinematic(admit(parse_scenario(Path(sys.argv[1]).read_text(), file=Path(sys.argv[1]))))
     judge(run)  # loads machine code
+    gc.collect()
+    gc.freeze()  # or each session looks at all that is loaded, again and again, and copies the pages of it
     while line := sys.stdin.readline():
         child = os.fork()
         if child == 0:
-            sys.exit(session(**json.loads(line)))
+            code = session(**json.loads(line))
+            atexit._run_exitfuncs()
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(code)  # without taking apart what is loaded, which takes as long as a short session
         print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 
 
