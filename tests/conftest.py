@@ -18,6 +18,7 @@ import typer.testing
 from browsing import started
 from examples import VISIT, run, scenario
 from hypothesis import settings
+from pytest_sessions import Sessions, sessions_in
 
 from safety_harness.trace.trace import Trace
 
@@ -142,6 +143,13 @@ class Finder:
 def visit() -> Trace:
     """A hand comes, stays for a moment and goes; the TCP gives way by the opposite pose."""
     return run(scenario(VISIT, duration_s=4.0))
+
+
+@pytest.fixture(scope="session")
+def sessions(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sessions]:
+    """Sessions of pytest that find everything loaded."""
+    with sessions_in(tmp_path_factory.mktemp("sessions")) as made:
+        yield made
 
 
 @pytest.fixture(scope="session")

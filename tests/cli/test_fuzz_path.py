@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from pytest_sessions import Sessions
 
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
 from safety_harness.cli.fuzz import fuzz
@@ -64,7 +63,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_bug_is_found_run_again_tested_replayed_and_gone_once_it_is_repaired(
-    project: Path, capsys: pytest.CaptureFixture[str]
+    project: Path, sessions: Sessions, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, own = project / "out", f"{project / 'mine.py'}:Mine"
     assert fuzz(project / "space.yaml", out=out, budget=40) == DIFFERS
@@ -75,8 +74,8 @@ def test_a_bug_is_found_run_again_tested_replayed_and_gone_once_it_is_repaired(
     assert json.loads((out / "findings.json").read_text())["confirmed"] >= 1
 
     assert run([file], project / "again") == AS_EXPECTED
-    tested = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(file)]
-    kept = subprocess.run(tested, capture_output=True, text=True, cwd=project, check=False)
+    tested = ("-q", "-p", "no:cacheprovider", str(file))
+    kept = sessions(project, *tested)
     assert kept.returncode == 0, kept.stdout
     trace = file.with_suffix(".trace")
     assert replay(trace) == BAD_INPUT  # a trace must not execute a program that it names itself
@@ -86,7 +85,7 @@ def test_a_bug_is_found_run_again_tested_replayed_and_gone_once_it_is_repaired(
     (project / "mine.py").write_text(REPAIRED)
     assert replay(trace, own) == DIFFERS
     assert "first difference at decision 0 (t = " in capsys.readouterr().out
-    broken = subprocess.run(tested, capture_output=True, text=True, cwd=project, check=False)
+    broken = sessions(project, *tested)
     assert broken.returncode == 1
     assert "proposed repulsive poses reachable" in broken.stdout
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import io
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from pytest_sessions import Sessions
 from typer.testing import CliRunner
 
 from safety_harness.admission.admit import admit
@@ -70,15 +70,15 @@ def test_a_space_is_laid_out_well_and_exercises_every_claim_in_every_draw(tmp_pa
         assert all(evaluation.exercised for evaluation in judge(run_kinematic(admit(scenario)))), scenario
 
 
-def test_the_suite_of_an_avoider_passes_and_sees_a_broken_one(tmp_path: Path) -> None:
+def test_the_suite_of_an_avoider_passes_and_sees_a_broken_one(tmp_path: Path, sessions: Sessions) -> None:
     pytest.importorskip("pybullet")
     assert new("policy", tmp_path / "my cell.yaml") == AS_EXPECTED
     avoider = tmp_path / "my_cell_avoider.py"
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_my_cell.py"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    suite = ("-q", "-p", "no:cacheprovider", "test_my_cell.py")
+    done = sessions(tmp_path, *suite)
     assert (done.returncode, "3 passed" in done.stdout) == (0, True), done.stdout
     avoider.write_text(avoider.read_text().replace("STEP_M = 0.1", "STEP_M = 100.0"))
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = sessions(tmp_path, *suite)
     assert (done.returncode, "1 failed" in done.stdout) == (1, True), done.stdout
 
 

@@ -2,41 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import os
-import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
-
-import safety_harness
-from safety_harness.base.compiled import cache_root
+from pytest_sessions import CACHE, CLAIMS, HEAD, ROOT, Sessions
 
 PLUGIN = "safety_harness.testing.plugin.plugin"
-CACHE = cache_root().parent  # asked for now: pytester moves the home folder
-ROOT = Path(safety_harness.__file__).parents[1]
-
-HEAD = """\
-{title}
-duration: 1.2 s
-avoider: opposite pose
-tcp start:
-  offset: [0 mm, -60 mm, 20 mm]
-hands:
-  - hand: right hand
-    starts at: [1000 mm, -500 mm, 300 mm]
-    elbow towards: [1600 mm, -1200 mm, 300 mm]
-    moves:
-      - reach for tcp: {speed}
-        stop at distance: 20 mm
-        give up after: 2 s
-claims:
-"""
-CLAIMS = "  hand distance never below 50 mm: {distance}\n  TCP speed never above 250 mm/s: holds\n"
 
 AVOIDERS = """\
 import numpy as np
@@ -89,27 +65,8 @@ INI = "[pytest]\nfilterwarnings = error\n"
 Run = Callable[..., pytest.RunResult]
 
 
-@pytest.fixture(scope="session")
-def template(tmp_path_factory: pytest.TempPathFactory) -> Iterator[subprocess.Popen[str]]:
-    """See ``template.py``; it stands for all sessions that need no fresh process."""
-    scenario = tmp_path_factory.mktemp("template") / "fast.yaml"
-    scenario.write_text(
-        HEAD.format(title="scenario: a fast reach", speed="2 m/s") + CLAIMS.format(distance="holds")
-    )
-    environment = os.environ | {
-        "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
-        "SAFETY_HARNESS_CACHE": str(CACHE),
-    }
-    command = [sys.executable, str(Path(__file__).parent / "template.py"), str(scenario)]
-    pipe = subprocess.PIPE
-    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=environment, cwd=ROOT) as process:
-        yield process
-        assert process.stdin is not None
-        process.stdin.close()
-
-
 @pytest.fixture
-def run(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Run:
+def run(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch, sessions: Sessions) -> Run:
     """Pytest with the plug-in, whether it is installed or not, in a process of its own.
 
     Its world is the kinematic one; a test of the world that is taken without a setting writes ``INI`` alone.
@@ -120,25 +77,17 @@ def run(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch, request: pyt
     monkeypatch.setenv("SAFETY_HARNESS_CACHE", str(CACHE))
     pytester.makeini(f"{INI}safety_world = kinematic\n")
     installed = any(entry.value == PLUGIN for entry in entry_points(group="pytest11"))
-    outputs = [str(pytester.path.parent / f"{pytester.path.name}.{name}") for name in ("out", "err")]
 
     def run_pytest(*args: str, fresh: bool = False) -> pytest.RunResult:
         given = (*(() if installed else ("-p", PLUGIN)), "-p", "no:randomly", *args)
         if fresh:
             return pytester.runpytest_subprocess(*given)
         started = time.monotonic()
-        asked = {"args": given, "folder": str(pytester.path), "environment": dict(os.environ)}
-        process = request.getfixturevalue("template")
-        print(
-            json.dumps(asked | dict(zip(("out", "err"), outputs, strict=True))),
-            file=process.stdin,
-            flush=True,
-        )
-        code = int(process.stdout.readline())
-        out, err = (Path(path).read_text() for path in outputs)
-        sys.stdout.write(out)
-        sys.stderr.write(err)
-        return pytest.RunResult(code, out.splitlines(), err.splitlines(), time.monotonic() - started)
+        done = sessions(pytester.path, *given)
+        sys.stdout.write(done.stdout)
+        sys.stderr.write(done.stderr)
+        lines = (done.stdout.splitlines(), done.stderr.splitlines())
+        return pytest.RunResult(done.returncode, *lines, time.monotonic() - started)
 
     return run_pytest
 
