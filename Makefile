@@ -145,9 +145,11 @@ site-tests: docs $(VENV)/tested
 	SAFETY_HARNESS_SITE=$(CURDIR)/site $(BIN)/python -m pytest tests/docs/test_site.py
 
 # Into dist/, with scenarios, plans, examples (setup.py), the site, and machine code for each Python of CODE_FOR.
+# What compiles much goes through ONE: CI has other work for its other processors.
 CODE_FOR :=
+ONE :=
 wheel: docs .venv-uv/bin/uv
-	.ci/machine_code.py $(CODE_FOR)
+	$(ONE) .ci/machine_code.py $(CODE_FOR)
 	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir dist .
 
 # The largest disagreement with each independent oracle, into plans/oracles.json and docs/results/self-test.md.
@@ -210,7 +212,7 @@ newest := highest
 	$(INSTALL) .venv-$*/bin/python --constraint $@ --editable '.[images,onnx]' pytest jsonschema
 oldest newest: %: .venv-%/versions
 	.venv-$@/bin/python -m pip check
-	.venv-$@/bin/safety-harness run scenarios/rendered-images.yaml --out reports/$@
+	$(ONE) .venv-$@/bin/safety-harness run scenarios/rendered-images.yaml --out reports/$@
 	.venv-$@/bin/python -m pytest -q --assert=plain -W ignore::DeprecationWarning -p no:cacheprovider $(QUICK) $(ASKING) -k '$(UNASKED:%=not % and) not doc'
 
 # Beside what other people install.
