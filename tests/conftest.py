@@ -94,10 +94,16 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items[:] = worlds + others[:cut] + parts + others[cut:]
 
 
-def pytest_collection_finish() -> None:
-    """The garbage collector need not look at nine thousand tests again and again."""
-    gc.collect()
-    gc.freeze()
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, Any, Any]:
+    """The garbage collector need not look at nine thousand tests again and again, now or later."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
+        gc.collect()
+        gc.freeze()
 
 
 class WithoutPyBullet:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +19,18 @@ from safety_harness.cell.controller.records import COMMAND
 from safety_harness.cell.robot.robots import arm_capsules, inverse_kinematics
 from safety_harness.cell.simulation.simulate import simulate
 from safety_harness.cell.simulation.worlds import PYBULLET
+from safety_harness.scenario.expand import read_all_scenarios
 from safety_harness.scenario.model import MovingHand, OffsetStart, Scenario
 from safety_harness.scenario.moves import HandMove, MoveTo, Wait, Withdraw
 from safety_harness.scenario.robots import Robot
 from safety_harness.trace.records import DECISION, Check
 from safety_harness.trace.trace import Trace
+
+
+@cache
+def shipped() -> dict[str, Scenario]:
+    """Every shipped scenario, by its name."""
+    return {one.name: one for one in read_all_scenarios(Path(__file__).parents[1] / "scenarios")}
 
 
 def hand(

@@ -4,23 +4,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from examples import shipped
 
 from safety_harness import admit, judge, run_trial
 from safety_harness.admission.avoiders import NAMES
 from safety_harness.admission.trial import run_kinematic
-from safety_harness.scenario.expand import read_all_scenarios
 from safety_harness.scenario.faults import EVERY_FAULT
 from safety_harness.scenario.model import RecordedHand, Verdict
 from safety_harness.scenario.robots import OwnRobot, Robot
 from safety_harness.trace.records import Mode, Trigger
 from safety_harness.trace.trace import Trace
 
-FOLDER = Path(__file__).parents[1] / "scenarios"
-SHIPPED = {scenario.name: scenario for scenario in read_all_scenarios(FOLDER)}
+SHIPPED = shipped()
 S, R, P, L = Mode.SERVOING, Mode.REPULSING, Mode.PROTECTIVE_STOP, Mode.OBJECT_LOST
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from examples import shipped
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.claims import property_of
@@ -15,7 +15,6 @@ from safety_harness.admission.trial import run_kinematic
 from safety_harness.claims.properties.base import Evaluation, Property
 from safety_harness.claims.properties.catalogue import CATALOGUE
 from safety_harness.claims.properties.measured import columns_read_by
-from safety_harness.scenario.expand import read_all_scenarios
 from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.trace.known import (
     COLUMNS_OF_A_TRACE,
@@ -29,8 +28,6 @@ from safety_harness.trace.known import (
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import knowing
 
-SCENARIOS = Path(__file__).parents[3] / "scenarios"
-IN_KINEMATIC = {one.name: one for one in read_all_scenarios(SCENARIOS) if one.name != "rendered-images"}
 EVERY = tuple(Claim(sentence=entry.example, expected=Verdict.HOLDS) for entry in CATALOGUE)
 SEED, MASKS, BATCHES, QUICK = 20261123, 1_000, 13, 1  # each batch has masks of all shipped runs
 
@@ -38,7 +35,7 @@ SEED, MASKS, BATCHES, QUICK = 20261123, 1_000, 13, 1  # each batch has masks of 
 @cache
 def judged(name: str) -> tuple[Trace, list[tuple[Property, Evaluation]]]:
     """A shipped run, and what its own claims and those of the catalogue say of it whole."""
-    trace = run_kinematic(admit(IN_KINEMATIC[name]))
+    trace = run_kinematic(admit(shipped()[name]))
     claims = {claim.sentence: claim for claim in (*EVERY, *trace.scenario.claims)}
     props = [property_of(claim, trace.scenario) for claim in claims.values()]
     return trace, [(prop, prop.evaluate(trace)) for prop in props if columns_read_by(prop) is not None]
@@ -66,9 +63,10 @@ def masked(trace: Trace, rng: np.random.Generator) -> Trace:
     "batch", [*range(QUICK), *(pytest.param(one, marks=pytest.mark.long) for one in range(QUICK, BATCHES))]
 )
 def test_no_mask_changes_a_verdict_but_to_inconclusive(batch: int) -> None:
+    in_kinematic = [name for name in shipped() if name != "rendered-images"]
     for number in range(batch, MASKS, BATCHES):
         rng = np.random.default_rng([SEED, number])
-        trace, evaluations = judged(list(IN_KINEMATIC)[number % len(IN_KINEMATIC)])
+        trace, evaluations = judged(in_kinematic[number % len(in_kinematic)])
         partly = masked(trace, rng)
         for prop, whole in evaluations:
             found = prop.evaluate(partly)
