@@ -7,6 +7,7 @@ program of that name: it hands its folder, words and streams over, and ends as t
 from __future__ import annotations
 
 import atexit
+import gc
 import json
 import os
 import socket
@@ -51,6 +52,8 @@ def _serve(address: str) -> None:
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(address)
         listening.listen()
+        gc.collect()
+        gc.freeze()  # no fork looks through what is loaded
         print("ready", flush=True)
         while True:
             asking, _ = listening.accept()
