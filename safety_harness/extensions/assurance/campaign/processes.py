@@ -7,6 +7,7 @@ workers (forkserver), so that a new worker starts at once.
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import os
 import resource
@@ -113,6 +114,7 @@ class _Free:
 
 def work(connection: Connection, lifeline: Connection, make: Callable[[], RunsEpisodes]) -> None:
     """Send a row for each episode of each received chunk, then ``_Free``; return when the pipe closes."""
+    gc.freeze()  # or each collection looks at all that was imported before the fork, and copies its pages
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the first process answers Ctrl-C
     threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
     try:
