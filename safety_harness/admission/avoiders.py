@@ -11,7 +11,7 @@ import hashlib
 import os
 import shlex
 from collections import ChainMap
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -215,6 +215,7 @@ def replay_command(
     trace: Path,
     *more_traces: Path,
     verb: str = "replay",
+    world: Sequence[str] = (),
     shown_path: Callable[[Path], Path] = display_path,
 ) -> str:
     """Return the command that repeats runs of one avoider or controller.
@@ -227,6 +228,7 @@ def replay_command(
         trace: The trace.
         *more_traces: Further traces.
         verb: The command that repeats runs.
+        world: The option that names the world again, if the command needs one.
         shown_path: Returns the name of a file in the command.  If the command is not stored, it may name
             files by their full paths.
 
@@ -237,7 +239,7 @@ def replay_command(
     for name, option in BESIDE.items():
         if is_a_program(reference := getattr(scenario, name)):
             parts += [option, _named_here(_from_here(scenario, reference))]
-    return shlex.join(parts)
+    return shlex.join([*parts, *world])
 
 
 def _named_here(reference: str) -> str:

@@ -16,6 +16,7 @@ from safety_harness.admission.admit import Admitted
 from safety_harness.admission.claims import property_of
 from safety_harness.base.exceptions import (
     ControllerError,
+    EditedProgramError,
     InadmissibleError,
     InstallationError,
     refuse_other_type,
@@ -178,7 +179,7 @@ def _attempt(admitted: Admitted, world: WorldEntry) -> Trace | Exception:
     try:
         together = world.batch and admitted.driver is None and not admitted.scenario.has_parts_beside
         return next(run_many([admitted], world=world)) if together else run_trial(admitted, world=world)
-    except InstallationError:
+    except (InstallationError, EditedProgramError):
         raise
     except Exception as error:  # one run's failure is a finding
         return error

@@ -294,6 +294,10 @@ class NoAnswerError(SimulationError):
         super().__init__(f"the avoider {name!r} gave no answer within {limit_s:g} s of wall time")
 
 
+class EditedProgramError(InadmissibleError):
+    """The files of a program have changed while a job runs, so that its runs would not belong together."""
+
+
 class CampaignError(SafetyHarnessError):
     """A campaign cannot continue, because its workers cannot start or the cluster is gone."""
 

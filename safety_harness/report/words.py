@@ -183,6 +183,11 @@ def tested_words(scenario: Scenario, system: SystemUnderTest) -> str:
     return ", ".join([system.label, *shield, *gate, *changed]) + unknown_files(scenario)
 
 
+UNKNOWN_OF_SIMULATOR = (
+    "which files the simulator opens is not known, but for those of its command and of its HARNESS_FILES"
+)
+
+
 def unknown_files(scenario: Scenario) -> str:
     """Return a warning that a program under test may open unknown files.
 

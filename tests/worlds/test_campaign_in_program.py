@@ -5,21 +5,24 @@ from __future__ import annotations
 import json
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
 
-from safety_harness.base.exceptions import InadmissibleError, LedgerError, ScenarioError
+from safety_harness.base.exceptions import EditedProgramError, InadmissibleError, LedgerError, ScenarioError
 from safety_harness.cell.simulation import worlds
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
 from safety_harness.extensions.assurance.campaign.episodes import EpisodeRunner
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.pilot import pilot
-from safety_harness.extensions.assurance.campaign.plan import Plan
+from safety_harness.extensions.assurance.campaign.plan import Plan, read_plan
 from safety_harness.extensions.assurance.campaign.rows import Row
 from safety_harness.extensions.assurance.campaign.session import processes, run_missing
+from safety_harness.extensions.assurance.certification.counterexamples import searches_of
 from safety_harness.extensions.assurance.certify_job import certify
+from safety_harness.extensions.assurance.commands.campaign import compare, resume
 from safety_harness.extensions.assurance.commands.campaign_attribute import attribute_ledger
 from safety_harness.extensions.assurance.commands.certify import verify
 from safety_harness.extensions.worlds.program import simulator
@@ -139,6 +142,28 @@ def test_a_simulator_that_changes_during_a_campaign_leaves_no_bound(tmp_path: Pa
         assert "episodes are not independent, no bound is stated" in ledger.dependent
 
 
+def test_episodes_after_an_edit_stay_missing(tmp_path: Path) -> None:
+    plan = plan_with(tmp_path)
+    runner = EpisodeRunner(plan)
+    assert not next(runner.run(0, [0])).failure
+    cell_in(tmp_path, ('version="1"', 'version="22"'))
+    with pytest.raises(EditedProgramError):
+        next(runner.run(0, [1]))
+
+
+def test_an_import_that_changed_between_two_sessions_leaves_no_bound(tmp_path: Path) -> None:
+    imports = ("import sys", "import sys\n\nfrom physics import advance")
+    moves = (MOVE, MOVE.replace("q + dq * period_s", "advance(q, dq, period_s)"))
+    (tmp_path / "physics.py").write_text("def advance(q, dq, dt):\n    return q + dq * dt\n")
+    plan = plan_with(tmp_path, imports, moves)
+    assert not run_missing(plan, tmp_path / "ledger.sqlite", processes(1), part=(0, 2))
+    simulator.cache_clear()
+    (tmp_path / "physics.py").write_text("def advance(q, dq, dt):\n    return q + dq * dt * 1.0000001\n")
+    assert run_missing(plan, tmp_path / "ledger.sqlite", processes(1))
+    with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
+        assert "no bound is stated" in ledger.dependent
+
+
 def test_an_episode_that_breaks_the_simulator_has_failed_and_is_never_held(tmp_path: Path) -> None:
     broken = (
         "speeds_radps = message",
@@ -199,6 +224,41 @@ def test_verify_without_the_simulator_tells_what_it_did_not_repeat(
     assert "made again in the simulator" not in printed
 
 
+@pytest.mark.parametrize("command", [resume, partial(compare, against="nearest candidate")])
+def test_a_ledger_of_somebody_else_executes_its_simulator_only_with_permission(
+    report: Path, command: Callable[[Path], int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command(report / "ledger.sqlite") == BAD_INPUT
+    assert "--execute-programs, since the ledger names the simulator" in capsys.readouterr().err
+
+
+def test_campaigns_in_two_simulators_are_not_compared(tmp_path: Path) -> None:
+    ledgers = []
+    for version in ("1", "22"):
+        folder = tmp_path / version
+        folder.mkdir()
+        plan = plan_with(tmp_path, ('version="1"', f'version="{version}"'))
+        ledgers.append(folder / "ledger.sqlite")
+        simulator.cache_clear()  # another job
+        assert run_missing(plan, ledgers[-1], processes(1))
+    assert compare(*ledgers) == BAD_INPUT
+
+
+def test_a_search_in_another_world_is_not_the_plans(report: Path) -> None:
+    (file,) = (report / "search").glob("*/findings.json")
+    stored = json.loads(file.read_text()) | {"searched_in": "PyBullet and on the real cell"}
+    file.write_text(json.dumps(stored))
+    (search,) = searches_of(read_plan(report.parent / "plan.yaml"), report)
+    assert search.problem == "is another search's than the plan's"
+
+
+def test_a_replay_command_of_the_report_names_the_simulator(report: Path) -> None:
+    evidence = json.loads((report / "evidence.json").read_text())
+    commands = [one["command"] for one in evidence["counterexamples"] if one["independent"]]
+    assert commands
+    assert all("--world 'exec:" in command for command in commands)
+
+
 def test_a_trace_of_another_simulator_is_no_trace_of_the_report(report: Path) -> None:
     with Ledger.open(report / "ledger.sqlite", write=True) as ledger:
         identity = dict(ledger.declared.identity.parts) | {"the simulator": "sha256 " + "0" * 64}
@@ -226,6 +286,8 @@ def test_a_report_needs_a_named_world(tmp_path: Path) -> None:
 
 
 def test_an_unknown_world_of_a_plan_is_refused_with_the_names(tmp_path: Path) -> None:
-    with pytest.raises(ScenarioError, match="PyBullet, kinematic") as error:
+    with pytest.raises(
+        ScenarioError, match="PyBullet, kinematic, MuJoCo, or a simulator: exec:COMMAND"
+    ) as error:
         plan_in(tmp_path, PLAN.replace("WORLD", "PyBulet"))
     assert "PyBullet" in error.value.hint

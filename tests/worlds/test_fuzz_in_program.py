@@ -49,7 +49,7 @@ def test_a_simulator_that_moves_as_our_own_world_has_the_findings_of_our_own_wor
     assert fuzz(Path("short.yaml"), out=theirs, budget=12, world=command(KINEMATIC_CELL)) == DIFFERS
     assert found_in(theirs) == found_in(ours)
     page = (theirs / "fuzz.html").read_text()
-    assert f"Runs are searched in the {command(KINEMATIC_CELL)} world" in page
+    assert f"Runs are searched in the simulator {command(KINEMATIC_CELL)}" in page
     assert "No verdict differs between the two" not in page  # that was measured of another world
     assert f"--world '{command(KINEMATIC_CELL)}'" in page.replace("&#39;", "'")
 
@@ -94,5 +94,5 @@ def test_a_violation_that_the_named_world_does_not_show_is_not_attributed_there(
     Path("fails.py").write_text(KINEMATIC_CELL.read_text().replace("tick=tick,", "tick=tick + (tick == 30),"))
     (cause,) = safety_harness.attribute(file, world=command(Path("fails.py"))).attributions
     assert cause.summary.startswith(
-        f"not attributed: the replay in the {command(Path('fails.py'))} world fails: "
+        f"not attributed: the replay in the simulator {command(Path('fails.py'))} fails: "
     )

@@ -15,7 +15,7 @@ from examples import VISIT, scenario
 
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.trial import judge, run_all, run_trial
-from safety_harness.base.exceptions import InadmissibleError, SimulationError, TraceError
+from safety_harness.base.exceptions import EditedProgramError, InadmissibleError, SimulationError, TraceError
 from safety_harness.cell.simulation import worlds
 from safety_harness.cell.simulation.worlds import (
     KINEMATIC,
@@ -243,7 +243,7 @@ def test_a_simulator_that_is_edited_between_two_runs_is_not_started_again(tmp_pa
     (failed,) = run_all([visit()], world)
     assert isinstance(failed, SimulationError)
     (tmp_path / "cell.py").write_text(KINEMATIC_CELL.read_text())
-    with pytest.raises(SimulationError, match="its files have changed"):
+    with pytest.raises(EditedProgramError):
         run_trial(visit(0.2), world=world)
 
 
@@ -315,9 +315,13 @@ def test_run_takes_it_and_the_page_names_it(tmp_path: Path, capsys: pytest.Captu
 def test_an_edited_simulator_ends_the_job_and_the_next_job_begins_it_anew(tmp_path: Path) -> None:
     world = changed(tmp_path)
     first = run_trial(visit(), world=world)
+    (tmp_path / "cell.py").touch()  # is no edit
+    assert run_trial(visit(), world=world).ticks.tobytes() == first.ticks.tobytes()
     (tmp_path / "cell.py").write_text(KINEMATIC_CELL.read_text().replace('version="1"', 'version="22"'))
-    with pytest.raises(SimulationError, match="its files have changed since it began"):
+    with pytest.raises(EditedProgramError, match="files do not change while a job runs"):
         run_trial(visit(), world=world)
+    with pytest.raises(EditedProgramError):  # and is no failed run
+        list(run_all([visit()], world))
     second = run_trial(visit(), world=in_world(tmp_path / "cell.py"))
     said = [dict(trace.provenance.libraries)["simulator"] for trace in (first, second)]
     assert said[0].startswith("kinematic cell 1, sha256")

@@ -7,6 +7,7 @@ names and labels from files. The import of this module loads no engine.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
@@ -183,6 +184,7 @@ KINEMATIC = WorldEntry(name="kinematic", label="kinematic", load=_kinematic, bat
 """Joints follow the drives exactly; many episodes run together."""
 REFERENCE = PYBULLET
 SIMULATOR = "simulator"  # the user's, among the libraries of a trace
+OTHER_BITS = "other bits"  # in a simulator's second episode, as its description in a trace says
 WORLDS = Registry([PYBULLET, KINEMATIC], ExtensionPoint.WORLDS, WorldEntry)
 """Every world. A new one is a class and an entry here, or an entry point of a package."""
 
@@ -274,6 +276,11 @@ def is_simulator(name: str) -> bool:
     return ":" in name and (entry := entry_of(name)) is not None and entry.program
 
 
+def world_option(name: str) -> list[str]:
+    """Return the option with which a command repeats a trace of the world ``name``; empty for ours."""
+    return ["--world", name] if is_simulator(name) else []
+
+
 def world_of_trace(name: str) -> WorldEntry:
     """Return the world with the ``name`` that a trace states, to repeat the run.
 
@@ -286,7 +293,8 @@ def world_of_trace(name: str) -> WorldEntry:
     if name in _named and (made := _of_reference(name)) is not None:
         return made
     names = " or ".join(world.name for world in WORLDS)
-    raise TraceError(place=Place(field="world"), expected=f"a trace made in {names}", got=name)
+    hint = f"--world {shlex.quote(name)} names the simulator" if is_simulator(name) else ""
+    raise TraceError(place=Place(field="world"), expected=f"a trace made in {names}", got=name, hint=hint)
 
 
 def engine_elsewhere(then: Provenance, now: Provenance) -> bool:

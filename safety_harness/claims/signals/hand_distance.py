@@ -356,7 +356,9 @@ def _closest_in_trace(
         bound, known = bound - slack_m[k], True
         high = min(high, sampled + slack_m[k])  # between two ticks, at a corner too, joints may be elsewhere
         if not bound >= best:
-            best, index, fraction = bound, k, where
+            best = bound
+            if bound != -np.inf:  # of an unbounded stretch, the nearest tick tells more
+                index, fraction = k, where
         k += 1
     return best, index, fraction, high
 

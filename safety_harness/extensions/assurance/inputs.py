@@ -26,6 +26,8 @@ def _check(path: Path, inspect: Callable[[Scenario], object]) -> CheckedFile:
     from safety_harness.report.words import count_words
 
     plan = read_packable(path)
+    if plan.world.program:
+        plan.world.opener()  # refuses a program that does not exist, and executes nothing
     try:
         refuse_hopeless(plan)
     except StatisticsError as error:

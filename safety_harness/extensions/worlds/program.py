@@ -15,7 +15,13 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.base.exceptions import InadmissibleError, Place, SimulationError, printable
+from safety_harness.base.exceptions import (
+    EditedProgramError,
+    InadmissibleError,
+    Place,
+    SimulationError,
+    printable,
+)
 from safety_harness.base.geometry.arrays import ArrayN
 from safety_harness.cell.controller.out_of_process.references import peer_of, program_sha256
 from safety_harness.cell.controller.records import CommandRecords
@@ -23,7 +29,7 @@ from safety_harness.cell.perception.detector import BoundingBoxDetector
 from safety_harness.cell.robot.description import ArmModel, resolved_urdf
 from safety_harness.cell.simulation.steps import drive_on, move_on
 from safety_harness.cell.simulation.world import RecordedWorld
-from safety_harness.cell.simulation.worlds import SIMULATOR, OpensWorld, WorldEntry
+from safety_harness.cell.simulation.worlds import OTHER_BITS, SIMULATOR, OpensWorld, WorldEntry
 from safety_harness.extensions.worlds.program_messages import (
     MOST_BYTES,
     PROTOCOL,
@@ -96,8 +102,13 @@ class Simulator:
 
     @property
     def is_edited(self) -> bool:
-        """Whether a file of the command has changed since the simulator began."""
-        return _stamp(self.reference) != self._stamp
+        """Whether the content of a file of the command has changed since the simulator began."""
+        if (stamp := _stamp(self.reference)) == self._stamp:
+            return False
+        if program_sha256(self.reference, PLACE) != self.sha256:
+            return True
+        self._stamp = stamp
+        return False
 
     def _begun(self) -> WorldWelcome:
         welcome = self._connection.introduce(WorldHello(), WorldWelcome, BEGIN_S)
@@ -125,7 +136,8 @@ class Simulator:
         """
         try:
             if isinstance(message, WorldReset) and self.is_edited:
-                raise NonsenseError("its files have changed since it began")
+                expected, got = "a simulator whose files do not change while a job runs", "other contents"
+                raise EditedProgramError(place=PLACE, expected=expected, got=got, hint="begin the job again")
             if isinstance(message, WorldReset) and not self._connection.quiet:
                 self._connection.end()
                 if self._begun() != self._said:
@@ -155,7 +167,7 @@ class Simulator:
     def described(self) -> str:
         """Name, version, hash and repeatability, for provenance."""
         of_file = f"sha256 {self.sha256}" if self.sha256 else "of unknown content"
-        bits = "the same bits" if self.repeats else "other bits"
+        bits = "the same bits" if self.repeats else OTHER_BITS
         twice = f"{bits} in a second episode of {TRIED_S:g} s"
         return printable(f"{self._said.name} {self._said.version}, {of_file}, {twice}")
 

@@ -54,7 +54,7 @@ def test_the_shipped_plans_can_be_read() -> None:
     ("old", "new", "line", "field", "expected"),
     [
         ("seed: 7", "seed: -1", 5, "seed", "a whole number"),
-        ("world: kinematic", "world: gazebo", 4, "world", "PyBullet, kinematic or MuJoCo"),
+        ("world: kinematic", "world: gazebo", 4, "world", "PyBullet, kinematic, MuJoCo, or a simulator"),
         ("stratum: nearer", "stratum: near", 10, "strata[1].stratum", "a name for one stratum only"),
         ("runs: 30", "runs: 0", 9, "strata[0].runs", "a whole number from 1"),
         (

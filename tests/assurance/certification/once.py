@@ -17,7 +17,6 @@ from safety_harness.cell.simulation.worlds import WorldEntry
 from safety_harness.extensions.assurance.certification import credibility, whose_fault
 from safety_harness.report.search_attribution import SearchAttribution
 from safety_harness.scenario.model import Claim, Scenario
-from safety_harness.search.attribution.attribute import ReplaysInWorld
 
 _ATTRIBUTE, _EXPLAIN, _TRIAL = whose_fault.attribute, SearchAttribution.explain, credibility.run_trial
 _known: dict[Hashable, Any] = {}
@@ -36,9 +35,8 @@ def _once(
 
 @pytest.fixture(scope="module")
 def replayed_once() -> Iterator[None]:
-    def attributed(admitted: Admitted, claims: Sequence[Claim], *, run: ReplaysInWorld) -> Any:
-        asked = (tuple(claims), run.world.label)
-        return _once(_ATTRIBUTE, admitted.scenario, asked, admitted, claims, run=run)
+    def attributed(admitted: Admitted, claims: Sequence[Claim]) -> Any:
+        return _once(_ATTRIBUTE, admitted.scenario, tuple(claims), admitted, claims)
 
     def explained(
         self: SearchAttribution, scenario: Scenario, claim: Claim, _: Any = None, *, confirms: bool = True

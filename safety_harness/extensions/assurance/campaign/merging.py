@@ -11,6 +11,7 @@ import numpy as np
 from safety_harness.base.exceptions import LedgerError, Place
 from safety_harness.base.whole_file import replacing, writing
 from safety_harness.claims.properties.base import Unit
+from safety_harness.extensions.assurance.campaign.identity import SIMULATOR
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.opening import (
     ADDED,
@@ -157,6 +158,9 @@ def refuse_incomparable(first: Ledger, second: Ledger) -> None:
     if first.draws_sha256 != second.draws_sha256:  # only the same spaces give common random numbers
         expected = f"a campaign over the same spaces as {first.path}"
         raise unusable(second.path, expected, "spaces with another text")
+    simulators = [dict(ledger.declared.identity.parts).get(SIMULATOR) for ledger in (first, second)]
+    if simulators[0] != simulators[1]:
+        raise unusable(second.path, f"a campaign in the simulator of {first.path}", "another simulator")
     for ledger in (first, second):
         if not (tally := tally_of(ledger)).complete:
             got = f"{tally.done} of {tally.planned} episodes: resume it, or merge its parts"

@@ -19,7 +19,7 @@ from typing import TypeVar
 from safety_harness.admission.avoiders import BESIDE, command_line_reference, with_avoider
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.driving import named_system
-from safety_harness.base.exceptions import InadmissibleError, InputError, Place, ScenarioError
+from safety_harness.base.exceptions import InadmissibleError, InputError, Place, ScenarioError, near_miss
 from safety_harness.base.shipped.contents import located
 from safety_harness.cell.simulation.worlds import (
     KINEMATIC,
@@ -147,8 +147,8 @@ class Plan:
         return sum(stratum.runs for stratum in self.strata)
 
     @property
-    def replay_world(self) -> WorldEntry:
-        """The world of searches and of replays for causes: the kinematic one, or the user's simulator."""
+    def search_world(self) -> WorldEntry:
+        """The world of searches and of ``campaign attribute``: kinematic, or the user's simulator."""
         return self.world if self.world.program else KINEMATIC
 
     @property
@@ -272,8 +272,11 @@ def read_plan(path: str | Path, edition: int = EDITION) -> Plan:
 
 def _world(field: Field) -> WorldEntry:
     """Return the world that a plan names: one of ours, or a simulator, whose paths start as in a shell."""
-    simulator = world_labelled(field.sentence("the name of a world"))
-    return simulator or field.one_of(worlds_by_label())
+    labels = list(worlds_by_label())
+    expected = f"{', '.join(labels)}, or a simulator: exec:COMMAND, tcp:HOST:PORT or unix:PATH"
+    if (world := world_labelled(text := field.sentence(expected))) is None:
+        raise field.error(expected, hint=near_miss(text, labels))
+    return world
 
 
 def _systems(

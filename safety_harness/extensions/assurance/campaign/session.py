@@ -89,6 +89,8 @@ def run_missing(
         refuse_unready(plan)
         if known is None:
             ledger = stack.enter_context(Ledger.create(path, plan))
+        elif plan.world.program:  # may have imported other files, which no hash covers, in earlier sessions
+            _ask_again(plan, ledger, lambda line: None)
         crew = stack.enter_context(closing(make_crew(plan)))
         machine = f"{platform.node()}, {processor()}, {kind_of_machine()}"
         ledger.begin_session(datetime.now(UTC).isoformat(), f"{crew.size}", machine)

@@ -193,8 +193,8 @@ class Certification:
             budget=searched.asked,
             seed=self.plan.seed,
             claims=[claim.sentence for claim in self.plan.claims],
-            explain="all",
-            world=self.plan.replay_world,
+            explain="causes" if self.plan.world.program else "all",  # a simulator is slow
+            world=self.plan.search_world,
             out=searched.folder,
             output=output,
         )

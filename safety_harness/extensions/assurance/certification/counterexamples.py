@@ -18,6 +18,7 @@ from typing import Any
 from msgspec import Struct, field
 
 from safety_harness.base.exceptions import InputError, Place, ScenarioError, described
+from safety_harness.cell.simulation.worlds import WORLDS, world_option
 from safety_harness.extensions.assurance.campaign.episodes import trace_of
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.plan import Plan
@@ -232,7 +233,8 @@ def _searched(plan: Plan, folder: Path, place: int, share: int) -> Searched:
     try:
         if file.exists():
             findings, problem = read_findings(file), ""
-            if (findings.budget, findings.seed) != (share, plan.seed):
+            wanted = (share, plan.seed, str(plan.search_world))
+            if (findings.budget, findings.seed, findings.searched_in) != wanted:
                 findings, problem = None, "is another search's than the plan's"
     except InputError as error:
         problem = f"cannot be read: {error.place.field or 'the file'}: expected {error.expected}"
@@ -290,6 +292,11 @@ def searched_counterexamples(
             try:
                 run = judged_run(load_trace(trace))
                 refuse_not_simulated(run.trace, trace)
+                if run.trace.provenance.world not in {
+                    plan.search_world.name,
+                    *(item.name for item in WORLDS),
+                }:
+                    raise ScenarioError.of_file(trace, "a trace of the searched world or ours", "another")
                 if _acted(read_scenario(file)) != _acted(run.trace.scenario):
                     raise ScenarioError.of_file(file, "its trace's scenario", "another than its trace has")
                 sentence, lines = _comments_of(file)
@@ -337,7 +344,7 @@ def _example(
         margin="\u2013" if index is None else margin_words(run.evaluations[index]),
         scenario_file=scenario,
         trace_file=trace,
-        command=shlex.join(["safety-harness", "replay", trace]),
+        command=shlex.join(["safety-harness", "replay", trace, *world_option(run.trace.provenance.world)]),
         lines=tuple(lines),
     )
     return Example(shown, run, data)
@@ -350,7 +357,7 @@ def told_whose_fault(plan: Plan, met: Sequence[Example | str]) -> tuple[Example 
     covers ``MOST_ASKED`` counterexamples of each claim. Counterexamples of a search already have an
     attribution.
     """
-    attribution = SearchAttribution(plan.replay_world)
+    attribution = SearchAttribution()
     counts: Counter[int] = Counter()
     examples: list[Example | str] = []
     for item in met:

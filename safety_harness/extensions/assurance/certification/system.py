@@ -16,7 +16,13 @@ from safety_harness.claims.properties.answered import NOT_MODELLED
 from safety_harness.extensions.assurance.campaign.plan import Plan
 from safety_harness.extensions.assurance.certification.evidence import SystemDescription
 from safety_harness.report.decisions import cost_words
-from safety_harness.report.words import changed_settings, drives_as_modelled, setting_words, unknown_files
+from safety_harness.report.words import (
+    UNKNOWN_OF_SIMULATOR,
+    changed_settings,
+    drives_as_modelled,
+    setting_words,
+    unknown_files,
+)
 from safety_harness.scenario.model import Scenario
 
 DATA, LEARNING = "Data: ", "Learning: "  # prefixes: data sheet, log of learning
@@ -47,6 +53,7 @@ def system_of(plan: Plan, opened: Mapping[str, str]) -> SystemDescription:
         card=() if model is None else tuple(card_of(model)),
         limits=(
             *(() if model is None else (str(limit) for limit in model.card.get("limits", ()))),
+            *([UNKNOWN_OF_SIMULATOR] if plan.world.program else []),
             *dict.fromkeys(
                 unknown_files(case).removeprefix("; ") for case in scenarios if unknown_files(case)
             ),

@@ -204,8 +204,7 @@ def _of_the_plan(report: ReportFolder, drawing: Drawing) -> Iterator[Examination
     stored = check_traces(plan, ledger, same=same)
     yield stored
     drawing.on_progress("the report from the ledger")
-    there = not plan.world.program or plan.world.is_installed
-    again = drawing.runs != 0 and stored.stands and there
+    again = drawing.runs != 0 and stored.stands
     if (proof := check_proof(report)) is not None:
         yield proof
     numbers, gathered = check_numbers(report, again=again)
@@ -232,7 +231,9 @@ def _refuse_to_execute(plan: Plan, runs: int | None, execute_programs: bool) -> 
     programs = programs_in(plan)
     if programs and runs != 0 and not execute_programs:
         raise InputError(
-            place=Place(file=plan.file, field="world" if programs[0] == plan.world.label else "avoider"),
+            place=Place(
+                file=Path(plan.file.name), field="world" if programs[0] == plan.world.label else "avoider"
+            ),
             expected="--execute-programs, since repeated runs execute the program in the report",
             got=programs[0],
             hint="or --runs 0, which repeats no run",

@@ -6,14 +6,14 @@ from safety_harness.extensions.assurance.campaign.attributed import ViolatedEpis
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.plan import Plan
 from safety_harness.extensions.assurance.certification.evidence import WhoseFault
-from safety_harness.search.attribution.attribute import ReplaysInWorld, attribute
+from safety_harness.search.attribution.attribute import attribute
 from safety_harness.search.attribution.tally import AttributionTally
 
 MOST = 20  # the first violations of each claim
 
 
 def whose_fault(plan: Plan, ledger: Ledger) -> WhoseFault:
-    """Attribute violations of ``plan`` in ``ledger`` by replays in the plan's world of replays.
+    """Attribute violations of ``plan`` in ``ledger`` by kinematic replays.
 
     Like the runs, the function executes the programs that the plan names.
     """
@@ -21,7 +21,7 @@ def whose_fault(plan: Plan, ledger: Ledger) -> WhoseFault:
     tally = AttributionTally.from_attributions(
         attribution
         for admitted, claims in violated_episodes(plan, violated, programs=True)
-        for attribution in attribute(admitted, claims, run=ReplaysInWorld(plan.replay_world))
+        for attribution in attribute(admitted, claims)
     )
     return WhoseFault(
         about=f"{violated.summary}, the first {MOST} of each claim" if violated.of else "",

@@ -176,13 +176,18 @@ def pilot_runs(
 
 @_command()
 def resume(
-    ledger: _LedgerFile, workers: Workers = None, cluster: _Cluster = None, part: _Part = "1/1"
+    ledger: _LedgerFile,
+    workers: Workers = None,
+    cluster: _Cluster = None,
+    part: _Part = "1/1",
+    execute_programs: Executes = False,
 ) -> int:
     """Continue a campaign from its ledger.
 
     The results equal the results of an undisturbed campaign. If the plan, a
     file or the version has changed since, the command names the change and runs
-    no episode.
+    no episode. A campaign in a simulator of yours needs --execute-programs,
+    because the ledger may be a stranger's.
 
     Exit codes as for run.
     """
@@ -190,7 +195,15 @@ def resume(
     from safety_harness.extensions.assurance.campaign.session import plan_of
 
     with Ledger.open(ledger) as opened, plan_of(opened) as plan:
+        _refuse_to_execute(opened, execute_programs)
         return _run_episodes(plan, ledger, workers, cluster, part)
+
+
+def _refuse_to_execute(ledger: Ledger, execute: bool) -> None:
+    """Raise LedgerError if a ledger, not the user, names the simulator that would run."""
+    if (world := ledger.declared.world).program and not execute:
+        expected = "--execute-programs, since the ledger names the simulator"
+        raise LedgerError.of_file(ledger.path, expected, world.label)
 
 
 def _run_episodes(
@@ -249,7 +262,8 @@ def _run_episodes(
         unlike = bool(ledger.repeated.problem or ledger.dependent)
         unanswered = fallback_of(ledger).unanswered and not is_claimed(claim.claim for claim in plan.claims)
     if stopped and not tally.complete:
-        say(f"interrupted; go on: safety-harness campaign resume {shlex.quote(str(path))}")
+        option = " --execute-programs" * plan.world.program
+        say(f"interrupted; go on: safety-harness campaign resume {shlex.quote(str(path))}{option}")
         return INTERRUPTED
     if unshown:
         say("a target of the plan remains open, so --require-shown fails")
@@ -429,6 +443,7 @@ def compare(
     against: OfReference = None,
     controller: OfController = None,
     workers: Workers = None,
+    execute_programs: Executes = False,
 ) -> int:
     """Compare two campaigns over the same episodes, A and B.
 
@@ -471,6 +486,7 @@ def compare(
         raise ScenarioError.of_option("compare", "either B or --against or --controller", "both or none")
     if reference is not None:
         with Ledger.open(first) as mine:
+            _refuse_to_execute(mine, execute_programs)
             home = mine.path.resolve().parent
             existing = {*home.iterdir()}
             plan = plan_against(mine, reference)

@@ -35,6 +35,6 @@ def attribute_ledger(path: Path, most: int, execute: bool, out: Path | None, con
         violated = ViolatedEpisodes.first(ledger, most)
         say(violated.summary)
         episodes = violated_episodes(plan, violated, programs=execute)
-        replays = ReplaysInWorld(plan.replay_world)
+        replays = ReplaysInWorld(plan.search_world)
         attributed = attribute_all(episodes, len(violated.claims), "episodes", confirm, TERMINAL, replays)
     return conclude(attributed, out)
