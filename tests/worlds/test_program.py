@@ -326,3 +326,16 @@ def test_an_edited_simulator_ends_the_job_and_the_next_job_begins_it_anew(tmp_pa
     said = [dict(trace.provenance.libraries)["simulator"] for trace in (first, second)]
     assert said[0].startswith("kinematic cell 1, sha256")
     assert said[1].startswith("kinematic cell 22, sha256")
+
+
+def test_without_a_bound_of_speeds_a_violated_distance_is_reported_at_its_nearest_tick(
+    tmp_path: Path,
+) -> None:
+    claim = Claim(sentence="hand distance never below 2 m", expected=Verdict.VIOLATED)
+    admitted = admit(replace(scenario(VISIT, duration_s=1.2), claims=(claim,)))
+    trace = run_trial(admitted, world=changed(tmp_path, (RANGE, "")))
+    (found,) = judge(trace)
+    nearest = int(trace.ticks["hand_distance_m"].min(axis=1).argmin())
+    assert found.verdict is Verdict.VIOLATED
+    assert nearest > 0
+    assert found.worst_time_s == pytest.approx(nearest * 0.008)
