@@ -82,8 +82,7 @@ def test_joint_speed_limits_stand_in_place_of_the_urdfs(folder: Path) -> None:
 
 
 REFUSED = [
-    ("ur10e.yaml", "urdf: ur10e.urdf\n", "", '"urdf" and "package".*neither'),
-    ("ur10e.yaml", "urdf:", "package: pybullet/panda\nurdf:", '"urdf" and "package".*both'),
+    ("ur10e.yaml", "urdf: ur10e.urdf\n", "", '"urdf" or "package".*neither'),
     ("ur10e.yaml", "urdf: ur10e.urdf", "package: no-such-package/arm", "not installed"),
     ("ur10e.yaml", "urdf: ur10e.urdf", "package: pybullet", "DISTRIBUTION/NAME"),
     ("ur10e.yaml", "urdf: ur10e.urdf", "package: pybullet/kuka_iiwa/modell", r"kuka_iiwa/model\b"),
