@@ -88,7 +88,7 @@ def test_every_script_is_run_by_bench_all_or_writes_a_page() -> None:
     (listed,) = re.findall(r"^LONG := ((?:.*\\\n)*.*)$", (BENCHMARKS.parent / "Makefile").read_text(), re.M)
     scripts = {file.stem for file in BENCHMARKS.glob("*.py") if "__main__" in file.read_text()}
     asked_by_others = {"results", "overhead_of_others", "bits", "bits_items", "stale"}
-    writers = {"gallery", "model_cards", "mutants", "sample_reports", "smallest_breaks"}
+    writers = {"gallery", "meshless_urdfs", "model_cards", "mutants", "sample_reports", "smallest_breaks"}
     of_hours = {"million", "fair_trial"}  # and told where to write, or what to measure
     of_other_software = {"drives", "accessibility"}  # MuJoCo's viewer and axe-core, which nothing else needs
     others = asked_by_others | writers | of_hours | of_other_software

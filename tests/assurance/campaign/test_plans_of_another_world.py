@@ -43,5 +43,5 @@ def test_another_world_runs_a_plan_whose_bounds_are_of_the_model(half: WorldEntr
 
 
 def test_a_plan_names_a_world_of_the_table(tmp_path: Path) -> None:
-    with pytest.raises(ScenarioError, match=f" or {WORLDS[-1].label}; got half speed"):
+    with pytest.raises(ScenarioError, match=f"{WORLDS[-1].label}, or a simulator.*got half speed"):
         plan_in(tmp_path, PLAN.replace("world: kinematic", "world: half speed"))
