@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.exceptions import SimulationError
 from safety_harness.base.geometry.arrays import ArrayN
 from safety_harness.cell.controller.records import CommandRecords
 from safety_harness.cell.perception.detector import BoundingBoxDetector
@@ -119,6 +120,9 @@ def saturated_torques(
         need_radps2: The accelerations (n,) that all joints need.
         limit_nm: The limits (n,) of the torques.
 
+    Raises:
+        SimulationError: Rounding or NaN hides the solution.
+
     """
     at_end = np.zeros(len(need_radps2))  # 1 for a motor at its upper limit, -1 at its lower one, otherwise 0
     for _ in range(MOST_EXCHANGES):
@@ -132,7 +136,7 @@ def saturated_torques(
         beyond_need = weak & (at_end * (radps2 - need_radps2) > ROUNDING_RADPS2)
         contradicting = np.flatnonzero(beyond_limit | beyond_need)
         if not len(contradicting):
-            break
+            return torques_nm
         first = contradicting[0]
         at_end[first] = np.sign(torques_nm[first]) if free[first] else 0.0
-    return np.asarray(np.clip(torques_nm, -limit_nm, limit_nm))
+    raise SimulationError("MuJoCo: no torques of the saturated motors agree with the motion")
