@@ -119,18 +119,16 @@ class Compared:
                 yield f"- {' and '.join(world.label for world in worlds)}: {line}"
 
 
-def of_arms(count: int, seed: int) -> Iterator[Admitted]:
-    """``count`` random scenarios: a quarter with the arm of the spaces, the others with the cells of ARMS."""
-    cells = [read_scenario(f"shipped:{name}") for name in ARMS]
-    yield from random_ones(count // (len(cells) + 1), seed)
-    for number, cell in enumerate(cells):
-        wanted = count // (len(cells) + 1)
+def of_arms(each: int, seed: int) -> Iterator[Admitted]:
+    """``each`` random scenarios for each cell of ARMS: its arm and task, with the hands of a draw."""
+    for number, name in enumerate(ARMS):
+        cell, wanted = read_scenario(f"shipped:{name}"), each
         draws = list(random_ones(3 * wanted, seed + number + 1))  # space by space
         for k in np.random.default_rng(seed).permutation(len(draws)).tolist():
-            drawn = draws[k]
-            name, hands = f"{cell.name}, {drawn.scenario.name}", drawn.scenario.hands
+            drawn = draws[k].scenario
+            changes = {"hands": drawn.hands, "seed": drawn.seed, "duration_s": drawn.duration_s}
             with suppress(InadmissibleError):
-                yield admit(replace(cell, name=name, hands=hands, seed=drawn.scenario.seed))
+                yield admit(replace(cell, name=f"{cell.name}, {drawn.name}", **changes))
                 wanted -= 1
             if not wanted:
                 break
@@ -174,6 +172,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--random", type=int, default=1000, help="how many random scenarios")
+    parser.add_argument("--each", type=int, default=50, help="how many more with each of three other arms")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--write", action="store_true", help=f"write {TABLE.name}")
     given = parser.parse_args()
@@ -181,7 +180,7 @@ def main() -> None:
     for admitted in shipped():
         compared.take(admitted)
     from_files = compared.runs
-    for admitted in of_arms(given.random, given.seed):
+    for admitted in (*random_ones(given.random, given.seed), *of_arms(given.each, given.seed)):
         compared.take(admitted)
     random = compared.runs - from_files
     text = "\n".join(

@@ -96,7 +96,7 @@ def test_every_kind_of_fault_and_every_robot_is_in_a_shipped_scenario_and_acts_t
     robots = {scenario.robot for scenario in SHIPPED.values()}
     assert robots >= set(Robot)
     own = {robot.label for robot in robots if isinstance(robot, OwnRobot)}
-    assert own == {"model", "panda", "xarm6_robot", "ur10e"}
+    assert own == {"iiwa14", "panda", "xarm6", "ur10e"}
 
 
 def test_every_shipped_avoider_is_in_a_shipped_scenario() -> None:
