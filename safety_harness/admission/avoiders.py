@@ -11,7 +11,7 @@ import hashlib
 import os
 import shlex
 from collections import ChainMap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -26,6 +26,7 @@ from safety_harness.cell.avoidance.model_file import LARGEST_BYTES, refuse_forei
 from safety_harness.cell.avoidance.python_file import refuse_undefined
 from safety_harness.cell.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.cell.avoidance.simple import NearestCandidate, OppositePose
+from safety_harness.cell.simulation.worlds import world_option
 from safety_harness.scenario.fields import SENTENCE, is_sentence
 from safety_harness.scenario.files import display_path, resolved
 from safety_harness.scenario.kinds import avoider_in, command_for, kind_of
@@ -215,7 +216,7 @@ def replay_command(
     trace: Path,
     *more_traces: Path,
     verb: str = "replay",
-    world: Sequence[str] = (),
+    made_in: str = "",
     shown_path: Callable[[Path], Path] = display_path,
 ) -> str:
     """Return the command that repeats runs of one avoider or controller.
@@ -228,7 +229,7 @@ def replay_command(
         trace: The trace.
         *more_traces: Further traces.
         verb: The command that repeats runs.
-        world: The option that names the world again, if the command needs one.
+        made_in: The world of the traces; the command names a user's simulator again.
         shown_path: Returns the name of a file in the command.  If the command is not stored, it may name
             files by their full paths.
 
@@ -239,7 +240,7 @@ def replay_command(
     for name, option in BESIDE.items():
         if is_a_program(reference := getattr(scenario, name)):
             parts += [option, _named_here(_from_here(scenario, reference))]
-    return shlex.join([*parts, *world])
+    return shlex.join([*parts, *world_option(made_in)])
 
 
 def _named_here(reference: str) -> str:

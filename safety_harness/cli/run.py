@@ -13,7 +13,6 @@ from safety_harness.admission.avoiders import command_line_reference, replay_com
 from safety_harness.admission.taking import not_taken_words
 from safety_harness.base.exceptions import OutputError
 from safety_harness.base.input_errors import InputErrors
-from safety_harness.cell.simulation.worlds import world_option
 from safety_harness.claims.properties.tally import far_lines, short_basis, table_lines, untested_lines
 from safety_harness.cli.console import (
     BAD_INPUT,
@@ -141,9 +140,9 @@ def _say_next(runs: Sequence[JudgedRun], out: Path) -> None:
             unexpected.setdefault(system, []).append(run)
     for violated in unexpected.values():
         files = [run.trace_file for run in violated if run.trace_file is not None]
-        option = world_option(violated[0].trace.provenance.world)
-        scenario = violated[0].trace.scenario
-        command = replay_command(scenario, *files, verb="attribute", world=option, shown_path=Path)
+        trace = violated[0].trace
+        made_in = trace.provenance.world
+        command = replay_command(trace.scenario, *files, verb="attribute", made_in=made_in, shown_path=Path)
         next_step(command, "whose fault it is")
     file = runs[0].trace_file
     if len(runs) > 1 and not unexpected:

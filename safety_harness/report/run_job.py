@@ -31,14 +31,7 @@ from safety_harness.base.extras import LOGS
 from safety_harness.base.input_errors import InputErrors, each_once, usable
 from safety_harness.base.output import QUIET, Output
 from safety_harness.base.whole_file import writing
-from safety_harness.cell.simulation.worlds import (
-    REFERENCE,
-    WorldEntry,
-    default_world,
-    defaulted,
-    world_named,
-    world_option,
-)
+from safety_harness.cell.simulation.worlds import REFERENCE, WorldEntry, default_world, defaulted, world_named
 from safety_harness.claims.properties.against import Against, RunDifference
 from safety_harness.claims.properties.tried import TriedParts
 from safety_harness.report.decisions import fault_notes
@@ -323,7 +316,7 @@ class RunSession:
             evaluations=tuple(prop.evaluate(trace) for prop in admitted.properties),
             replay_command=""
             if file is None
-            else replay_command(admitted.scenario, file, world=world_option(trace.provenance.world)),
+            else replay_command(admitted.scenario, file, made_in=trace.provenance.world),
             trace_file=file,
             notes=notes_of(admitted.scenario),
         )

@@ -18,7 +18,6 @@ from safety_harness.base.extension_points import ExtensionPoint, part_named
 from safety_harness.base.interrupts import one_more_ctrl_c
 from safety_harness.base.output import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED, QUIET, Output
 from safety_harness.base.whole_file import write_text, writing
-from safety_harness.cell.simulation.worlds import world_option
 from safety_harness.claims.properties.against import Against
 from safety_harness.claims.properties.base import Evaluation
 from safety_harness.claims.properties.tally import ClaimTally, untested_lines
@@ -185,9 +184,7 @@ class RunResult:
         return replace(
             run,
             trace_file=file,
-            replay_command=replay_command(
-                run.trace.scenario, file, world=world_option(run.trace.provenance.world)
-            ),
+            replay_command=replay_command(run.trace.scenario, file, made_in=run.trace.provenance.world),
         )
 
     def _command(self, out: Path) -> str:

@@ -203,7 +203,9 @@ def _section(shown: WrittenCounterexample, number: int, replays: Replays) -> dic
         "shown": shown,
         "runs": sum(group.count for group in shown.groups),
         "run_command": shlex.join(["safety-harness", "run", str(display_path(shown.path))]),
-        "replay_command": "" if trace is None else replay_command(example.shrunk.scenario, trace),
+        "replay_command": ""
+        if trace is None
+        else replay_command(example.shrunk.scenario, trace, made_in=run.provenance.world if run else ""),
         "margin": "\u2013" if evaluation is None else margin_words(evaluation),
         "found_margin": found_margin,
         "parts": [line for each in example.evaluations for line in _part_lines(each, 0)],

@@ -21,10 +21,12 @@ from safety_harness.extensions.assurance.campaign.plan import Plan, read_plan
 from safety_harness.extensions.assurance.campaign.rows import Row
 from safety_harness.extensions.assurance.campaign.session import processes, run_missing
 from safety_harness.extensions.assurance.certification.counterexamples import searches_of
+from safety_harness.extensions.assurance.certification.folder import stored_files, write_manifest
 from safety_harness.extensions.assurance.certify_job import certify
 from safety_harness.extensions.assurance.commands.campaign import compare, resume
 from safety_harness.extensions.assurance.commands.campaign_attribute import attribute_ledger
 from safety_harness.extensions.assurance.commands.certify import verify
+from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
 from safety_harness.extensions.worlds.program import simulator
 from safety_harness.search import session
 from tests.assurance.campaign.plans import plan_in
@@ -171,7 +173,7 @@ def test_an_episode_that_breaks_the_simulator_has_failed_and_is_never_held(tmp_p
     )
     rows = rows_of(plan_with(tmp_path, broken))
     assert all("the run failed" in row.failure for row in rows)
-    assert not any(row.violates for row in rows)
+    assert {one.outcome for row in rows for one in row.judgements} == {EpisodeOutcome.FAILED}
 
 
 @pytest.fixture(scope="module")
@@ -232,7 +234,9 @@ def test_a_ledger_of_somebody_else_executes_its_simulator_only_with_permission(
     assert "--execute-programs, since the ledger names the simulator" in capsys.readouterr().err
 
 
-def test_campaigns_in_two_simulators_are_not_compared(tmp_path: Path) -> None:
+def test_campaigns_in_two_simulators_are_not_compared(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     ledgers = []
     for version in ("1", "22"):
         folder = tmp_path / version
@@ -242,6 +246,7 @@ def test_campaigns_in_two_simulators_are_not_compared(tmp_path: Path) -> None:
         simulator.cache_clear()  # another job
         assert run_missing(plan, ledgers[-1], processes(1))
     assert compare(*ledgers) == BAD_INPUT
+    assert "another simulator" in capsys.readouterr().err
 
 
 def test_a_search_in_another_world_is_not_the_plans(report: Path) -> None:
@@ -259,14 +264,18 @@ def test_a_replay_command_of_the_report_names_the_simulator(report: Path) -> Non
     assert all("--world 'exec:" in command for command in commands)
 
 
-def test_a_trace_of_another_simulator_is_no_trace_of_the_report(report: Path) -> None:
+def test_a_trace_of_another_simulator_is_no_trace_of_the_report(
+    report: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with Ledger.open(report / "ledger.sqlite", write=True) as ledger:
         identity = dict(ledger.declared.identity.parts) | {"the simulator": "sha256 " + "0" * 64}
         ledger.connection.execute(
             "UPDATE about SET value = ? WHERE key = 'identity'", (json.dumps(list(identity.items())),)
         )
         ledger.connection.commit()
-    assert verify(report, runs=0) != AS_EXPECTED
+    write_manifest(report, stored_files(report))
+    assert verify(report, runs=0) == DIFFERS
+    assert "its simulator is not the declared one: sha256 0000" in capsys.readouterr().out
 
 
 def test_causes_of_violations_are_sought_in_the_simulator(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 import subprocess
 import sys
@@ -14,6 +15,7 @@ import pytest
 from examples import VISIT, scenario
 
 from safety_harness.admission.admit import Admitted, admit
+from safety_harness.admission.avoiders import replay_command
 from safety_harness.admission.trial import judge, run_all, run_trial
 from safety_harness.base.exceptions import EditedProgramError, InadmissibleError, SimulationError, TraceError
 from safety_harness.cell.simulation import worlds
@@ -339,3 +341,11 @@ def test_without_a_bound_of_speeds_a_violated_distance_is_reported_at_its_neares
     assert found.verdict is Verdict.VIOLATED
     assert nearest > 0
     assert found.worst_time_s == pytest.approx(nearest * 0.008)
+
+
+def test_a_command_that_repeats_a_trace_names_its_simulator_and_no_world_of_ours() -> None:
+    admitted, world = visit(0.2), in_world(KINEMATIC_CELL)
+    trace = Path("a.trace")
+    ours = replay_command(admitted.scenario, trace, made_in=KINEMATIC.name)
+    theirs = replay_command(admitted.scenario, trace, made_in=world.name)
+    assert theirs == f"{ours} {shlex.join(['--world', world.name])}"

@@ -122,6 +122,7 @@ def render(outcomes: Sequence[FaultOutcome], selftest: SelfTestRun, runs: Caught
     return render_page(
         "selftest.html.j2",
         package="safety_harness.extensions.selftest",
+        world=worlds[0],
         basis=basis(worlds, f"{len(outcomes)} of {selftest.planned} faults tried"),
         style="tables.css",
         about=selftest,

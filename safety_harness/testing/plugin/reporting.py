@@ -101,10 +101,12 @@ def _runs(sent: Sequence[EndedTest]) -> Iterator[JudgedRun]:
         more = [AvoiderAnswered().evaluate(trace) for _ in claims[len(first) :]]
         tests = dict.fromkeys(test for test, _, _ in judgements)
         scenario = replace(trace.scenario, claims=claims)
+        made_in = trace.provenance.world
+        replayed = replay_command(scenario, file, made_in=made_in) if trace.known.simulated else ""
         yield JudgedRun(
             trace=replace(trace, scenario=scenario),
             evaluations=(*(evaluation for _, evaluation in first.values()), *more),
-            replay_command=replay_command(scenario, file) if trace.known.simulated else "",
+            replay_command=replayed,
             trace_file=file,
             notes=(*notes_of(scenario), *(f"judged by {test}" for test in tests)),
         )
