@@ -67,7 +67,7 @@ WINGS := assurance field lab selftest gym arms worlds
 OTHERS = $(addprefix tests/,$(WINGS) whole) $(REST)
 REST := tests/docs tests/packaging $(addprefix tests/test_,array_shapes.py collection_order.py public_names.py \
 	readme.py release.py) $(TOY) paper/tests
-GENERATED := tests/docs/test_pages.py tests/docs/test_glossary.py tests/test_architecture.py
+GENERATED := tests/docs/test_stale_tables.py tests/docs/test_pages.py tests/docs/test_glossary.py tests/test_architecture.py
 
 light: $(VENV)/tested
 	$(call run,$(QUICK) $(LIGHT),$(ALONE))

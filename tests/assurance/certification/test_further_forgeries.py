@@ -371,6 +371,7 @@ OTHERS: dict[str, tuple[Touch, str]] = {
     "libraries": (made_by(libraries=(("numpy", "99.0"),)), "1 stored traces differ from"),
     "a hidden file": (put(".certificate.html"), ".certificate.html: a hidden file"),
     "a page among the findings": (put(f"{SEARCHED}/well.html"), "well.html: a file that no report has"),
+    "a page of the search": (put(f"{SEARCHED}/fuzz.html"), "fuzz.html: verify did not make this file"),
     "a page in capitals": (put("Evidence.html"), "Evidence.html: a file that no report has"),
     "a journal of the ledger": (put(f"{LEDGER}-journal"), "ledger.sqlite-journal: a file that no report has"),
     "whose fault, by another library": (

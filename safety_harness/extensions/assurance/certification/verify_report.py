@@ -66,6 +66,8 @@ from safety_harness.extensions.assurance.certification.stored import Stored
 from safety_harness.extensions.assurance.certification.tools import Credibility, HarnessTrials
 from safety_harness.extensions.assurance.certification.verify_files import Examination, ReportFolder, few
 from safety_harness.extensions.assurance.certification.whose_fault import whose_fault
+from safety_harness.report.search_job import COVERAGE
+from safety_harness.report.search_job import PAGE as SEARCH_PAGE
 from safety_harness.scenario.files import read_bytes
 from safety_harness.scenario.typed_json import plain
 from safety_harness.trace.provenance import provenance
@@ -335,7 +337,7 @@ def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, Ga
         unchecked.append(
             "the trial of the harness, the table of oracles and recorded cells are as their files say"
         )
-    unchecked += [f"{name}: a file that no report has" for name in _foreign(gathered.evidence, report.hashes)]
+    unchecked += list(_unread(gathered.evidence, report.hashes))
     unchecked += few([f"{line}: other software, or it was altered" for line in doubts])
     return Examination("numbers", text, few(faults), unchecked=tuple(unchecked)), gathered
 
@@ -458,14 +460,17 @@ def _origin_faults(origin: EvidenceProvenance) -> Iterator[str]:
         yield f"provenance: it ended on {origin.ended_at[:40]!r}, and began on {origin.began_at!r}"
 
 
-def _foreign(evidence: Evidence, hashes: dict[str, str]) -> Iterator[str]:
-    """Yield the files in the report that no check reads."""
+def _unread(evidence: Evidence, hashes: dict[str, str]) -> Iterator[str]:
+    """Yield a line for each file in the report that no check reads."""
     shown = {item.trace_file for item in evidence.counterexamples}
     for name in hashes:
         inside = Path(name).parts[0] in (PLAN, OPENED)
         inside |= Path(name).parts[0] == SEARCH and name.endswith((".yaml", ".trace", f"/{FINDINGS}"))
-        if name not in (*MADE, LEDGER, *PROOF, *shown) and not inside:
-            yield name
+        folder, *rest = Path(name).parts
+        if folder == SEARCH and len(rest) == 2 and rest[1] in (SEARCH_PAGE, COVERAGE):
+            yield f"{name}: verify did not make this file of the search again"
+        elif name not in (*MADE, LEDGER, *PROOF, *shown) and not inside:
+            yield f"{name}: a file that no report has"
 
 
 def _is_ours(command: str) -> bool:
