@@ -348,6 +348,18 @@ def test_nothing_is_left_beside_a_ledger_that_was_run_and_read(tmp_path: Path, p
     assert [file.name for file in tmp_path.glob(f"{path.name}?*")] == []
 
 
+def test_a_refused_campaign_leaves_no_folder_of_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "made" / "ledger.sqlite"
+    with pytest.raises(ValueError, match="refused"), only_runner(path):
+        raise ValueError("refused")
+    assert list(tmp_path.iterdir()) == []
+    path.parent.mkdir()  # this folder is the user's
+    with pytest.raises(ValueError, match="refused"), only_runner(path):
+        raise ValueError("refused")
+    assert list(tmp_path.iterdir()) == [path.parent]
+    assert list(path.parent.iterdir()) == []
+
+
 def test_a_runner_whose_lock_was_just_removed_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -155,10 +155,11 @@ def explained(path: Path) -> Iterator[None]:
 def only_runner(path: Path) -> Iterator[None]:
     """Hold the lock that one runner of a ledger needs; LedgerError if another process holds it.
 
-    The operating system releases the lock when the process ends in any way. If the work ended without an
-    error, the function removes the lock's file.
+    The operating system releases the lock when the process ends in any way. If the process goes on, the
+    function removes the lock's file, and the ledger's folder if it made that folder and it is still empty.
     """
     file = path.with_name(path.name + ".lock")
+    made = not path.parent.exists()
     with writing(file):
         path.parent.mkdir(parents=True, exist_ok=True)
         stream = file.open("a+")
@@ -174,8 +175,13 @@ def only_runner(path: Path) -> Iterator[None]:
         stream.truncate(0)
         stream.write(f"{os.getpid()}\n")
         stream.flush()
-        yield
-        file.unlink(missing_ok=True)
+        try:
+            yield
+        finally:
+            file.unlink(missing_ok=True)
+            if made:
+                with suppress(OSError):  # it is not empty
+                    path.parent.rmdir()
 
 
 def remove_empty_log(path: Path) -> None:

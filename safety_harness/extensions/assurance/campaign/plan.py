@@ -41,6 +41,7 @@ from safety_harness.extensions.assurance.campaign.plan_keys import (
     CLAIM,
     KEPT,
     LEAST_TARGET,
+    MOST_TARGET,
     PLAN,
     SEARCH,
     STRATUM,
@@ -402,4 +403,4 @@ def _claims(
 def _target(field: Field, hazards: tuple[str, ...], risks: PlannedHazards) -> float:
     if isinstance(field.node, Scalar) and field.node.text == "derived":
         return risks.target(hazards, field)
-    return field.quantity(FRACTION, least=LEAST_TARGET, most=0.5)
+    return field.quantity(FRACTION, least=LEAST_TARGET, most=MOST_TARGET)

@@ -9,6 +9,7 @@ from safety_harness.scenario.codec import REQUIRED, Below, Key, KeyTable, Quanti
 from safety_harness.scenario.units import FRACTION, NUMBER
 
 LEAST_TARGET = 1e-9  # smaller targets need more runs than any plan has
+MOST_TARGET = 0.5  # a claim that more than half of the runs violate is no claim
 
 _LINE = Text(kind="text, one line", expected="a text on one line")
 _WORLDS = [world.label for world in WORLDS]
@@ -36,7 +37,7 @@ CLAIM = _table(
     Key("claim", _LINE, "of the catalogue, or a formula", "repulsive poses reachable", or_else=REQUIRED),
     Key(
         "violated in at most",
-        QuantityValue(FRACTION, least=LEAST_TARGET, or_word="derived"),
+        QuantityValue(FRACTION, least=LEAST_TARGET, most=MOST_TARGET, or_word="derived"),
         "the largest share of tested runs that may violate it; derived: from the plan's hazards",
         "1 %",
         or_else="only estimated",

@@ -114,7 +114,7 @@ def run(
     if require_shown and all(claim.target is None for claim in read.claims):
         raise ScenarioError.of_option("--require-shown", "a plan with a target to show", f"none in {plan}")
     path = ledger or Path("reports") / read.name
-    path = path if path.suffix or path.is_file() else path / LEDGER
+    path = path if path.suffix == ".sqlite" or path.is_file() else path / LEDGER
     code = _run_episodes(read, path, workers, cluster, part, require_shown)
     if code in (AS_EXPECTED, DIFFERS) and path.name == LEDGER and (controller, part) == (None, "1/1"):
         next_step(
