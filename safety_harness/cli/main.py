@@ -24,6 +24,7 @@ from safety_harness.cli.console import (
     say,
 )
 from safety_harness.cli.fuzz import commands as of_search
+from safety_harness.cli.help_text import lay_out_help
 from safety_harness.cli.machine import commands as of_machine
 from safety_harness.cli.new import commands as of_new
 from safety_harness.cli.scenario_commands import commands as of_scenarios
@@ -64,8 +65,8 @@ class _Commands(MutableMapping[str, Any]):
 
     def __init__(self, core: MutableMapping[str, Any]) -> None:
         self._made = {**core}
-        for name, commands in core.items():
-            commands.rich_help_panel = TASK_OF[name]
+        for name, command in core.items():
+            lay_out_help(command).rich_help_panel = TASK_OF[name]
         self._parts: dict[str, RegisteredPart] = {}
         self._hidden: list[RegisteredPart] = []  # parts whose names are already in use
         for part in parts(ExtensionPoint.COMMANDS):
@@ -112,7 +113,7 @@ class _Commands(MutableMapping[str, Any]):
         loaded.rich_help_panel = (
             TASK_OF.get(part.name) or part.package.removeprefix("safety_harness_").capitalize()
         )
-        return loaded
+        return lay_out_help(loaded)
 
 
 class _Group(TyperGroup):

@@ -177,7 +177,8 @@ def schema(
     """Print the JSON Schema (draft 2020-12) of scenario files.
 
     Editors check your files by it while you type. The repository has both schemas in docs/schema.
-    Exit code 0.
+
+    Exit code 0: printed.
     """
     import json
 

@@ -44,7 +44,8 @@ def list_shipped(kind: Annotated[ShippedKind | None, Argument(help="Only these."
 
     The list also has plans, examples, recordings and robots, one a line. Each has a name, shipped:NAME, which
     stands for its file wherever a command takes a file. shipped:scenarios and so on stand for their folders.
-    Exit code 0.
+
+    Exit code 0: printed.
     """
     files = [file for file in shipped_files() if kind in (None, file.kind)]
     document(

@@ -410,7 +410,7 @@ def test_the_schema_is_printed_as_json() -> None:
 @pytest.mark.parametrize("command", ["validate", "fmt", "explain", "schema"])
 def test_help_teaches_exit_codes(command: str) -> None:
     done = CliRunner().invoke(app, [command, "--help"])
-    assert "Exit code 0" in " ".join(done.stdout.split())
+    assert "Exit codes: 0" in " ".join(done.stdout.split())
 
 
 def test_the_commands_reach_their_functions(tmp_path: Path) -> None:

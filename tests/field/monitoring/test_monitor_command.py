@@ -193,7 +193,7 @@ def test_ctrl_c_keeps_the_log(tmp_path: Path, a_stream: list[bytes]) -> None:
 
 def test_help_teaches() -> None:
     told = " ".join(CliRunner().invoke(app, ["monitor", "--help"]).output.split())
-    for words in ("no safety function", "time_s", "Exit code", "inconclusive at once"):
+    for words in ("no safety function", "time_s", "Exit codes", "inconclusive at once"):
         assert words in told
 
 

@@ -185,14 +185,20 @@ def _bound_lines(ledger: Ledger, bounds: Sequence[ProbabilityBounds]) -> list[st
     ]
     for row in bounds:
         target = targets[row.claim]
-        shown = target is not None and row.shows(target)
-        goal = "" if target is None else f", asked at most {target:.4g}: {'shown' if shown else 'NOT shown'}"
+        goal = "" if target is None else f", asked at most {target:.4g}: {_shown(row, target)}"
         model = ", model only" if row.model_only else ""
         failed = f", {row.failed} could not be run" if row.failed else ""  # each may be a violation
         runs = f"{row.trials - row.failed} runs tested it{failed}{goal}{model}"
         known = f"{rounded_down(row.low)} to {rounded_up(row.high)} ({runs})"
         lines.append(f"  {row.stratum}: {row.claim}: " + (known if row.trials else "unknown, never tested"))
     return lines
+
+
+def _shown(row: ProbabilityBounds, target: float) -> str:
+    """Return the report's words on whether a bound shows ``target``."""
+    if row.shows(target):
+        return "shown"
+    return "shown with doubt" if row.trials and row.model_only and row.high <= target else "NOT shown"
 
 
 def rare_line(rate: RareViolation) -> str:
