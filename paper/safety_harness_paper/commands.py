@@ -31,19 +31,24 @@ def reproduce(
     seed: Seed = 0,
     jobs: Annotated[int, typer.Option(help="Processes at once, each on one core.")] = 2,
 ) -> int:
-    """Measure the paper's tables and figures again: its numbers beside ours, and a verdict on each.
+    """Measure the paper's tables and figures again, and judge whether its numbers are reproduced.
 
-    table1: passes of the network; 2: places of dropout; 3: unseen space; 4: out of reach; 5: convergence.
-    figure5: candidates; 6: intervals; 7: a whole trial; 8: two poses. timing: network against images.
-    outlook: the paper's own, tried. safety: does the arm keep clear? sensitivity: what is left open.
+    The parts are table1 (the number of passes through the network), table2 (the layers with dropout), table3
+    (the unseen space), table4 (positions out of reach), table5 (convergence), figure5 (candidates), figure6
+    (intervals), figure7 (a whole trial), figure8 (two poses), timing (the network against images), outlook
+    (the paper's own proposals), safety (the arm's distance from hands) and sensitivity (the open choices).
 
-    Several networks of each kind are trained, evaluated and tried in PyBullet. A line a verdict goes to
-    standard output: reproduced, direction only, or not reproduced, and why; the page has all numbers.
-    Ctrl-C keeps every finished step; the same command goes on from there.
-    Needs PyTorch, which comes with this package.
+    The command trains and evaluates several networks of each kind, and tries them in PyBullet. It prints a
+    line for each verdict: reproduced, direction only, or not reproduced, with the reason. The page has all
+    numbers. Ctrl-C keeps every finished step, and the same command continues. The command needs PyTorch,
+    which comes with this package.
 
-    Examples: "reproduce all --scale quick" to see it run; "reproduce table4 table5 --jobs 4".
-    Exit code 0; 1: a step failed, the page says which; 2: bad input; 130: interrupted.
+    A first look takes minutes: reproduce all --scale quick. Two tables: reproduce table4 table5 --jobs 4.
+
+    Exit code 0: every step is finished.
+    Exit code 1: a step failed; the page names it.
+    Exit code 2: bad input.
+    Exit code 130: interrupted.
     """
     from safety_harness_paper.reproduce import reproduce as reproduce_parts
 
