@@ -52,9 +52,9 @@ def laid_out(text: str, width: int, *, plain: bool) -> str:
 
 def _parts(paragraph: str, width: int, plain: bool) -> Iterator[str]:
     """Yield a paragraph on one line, and the exit codes at its end as a table."""
-    before, *codes = _EXIT_CODE.split(" ".join(paragraph.split()))
-    if before:
-        yield before.strip()
+    prose, *codes = _EXIT_CODE.split(" ".join(paragraph.split()))
+    if prose:
+        yield prose.strip()
     meanings: dict[str, list[str]] = {}
     for code, meaning in zip(codes[::2], codes[1::2], strict=True):
         meanings.setdefault(code, []).append(meaning.strip().rstrip("."))

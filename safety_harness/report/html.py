@@ -14,9 +14,11 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from safety_harness.admission.claims import property_of
 from safety_harness.base.exceptions import refuse_other_type
 from safety_harness.base.proportions import share_words
 from safety_harness.base.whole_file import write_whole
+from safety_harness.claims.properties.protective_separation import ProtectiveSeparation
 from safety_harness.report.decisions import (
     MOST_DECISION_ROWS,
     DecisionTally,
@@ -58,7 +60,7 @@ from safety_harness.report.words import (
 )
 from safety_harness.scenario.faults import fault_words
 from safety_harness.scenario.files import as_path
-from safety_harness.scenario.model import Verdict
+from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.trace.limiting import limit_lines
 from safety_harness.trace.records import Limit
@@ -335,9 +337,21 @@ def claim_rows(run: JudgedRun) -> list[Row]:
             "margin_sort": "" if evaluation.margin is None else f"{float(evaluation.margin)!r}",
             "worst": "\u2013" if evaluation.worst_time_s is None else f"{evaluation.worst_time_s:.3f} s",
             "worst_sort": "" if evaluation.worst_time_s is None else f"{evaluation.worst_time_s!r}",
+            "terms": _terms_of_separation(run.trace, claim) if evaluation.margin is not None else [],
         }
         for number, ((claim, evaluation), expected) in enumerate(judged, start=1)
     ]
+
+
+def _terms_of_separation(trace: Trace, claim: Claim) -> list[tuple[str, str, str]]:
+    """Return symbol, length and assumption of each term of the protective separation that a claim requires.
+
+    The list is empty for a claim without such terms.
+    """
+    claimed = property_of(claim, trace.scenario)
+    worst = claimed.worst(trace) if isinstance(claimed, ProtectiveSeparation) else None
+    terms = () if worst is None else worst.terms
+    return [(term.symbol, f"{term.length_m * 1e3:.1f} mm", term.assumption) for term in terms]
 
 
 def file_name(run: JudgedRun) -> str:

@@ -282,15 +282,14 @@ def _times_left_s(
 
 
 def described(trace: Trace, separation: Separation) -> str:
-    """Return a sentence on the pair of ``separation`` and its terms."""
+    """Return a sentence on the pair of ``separation``, without the terms, which the run's page lists."""
     part = capsules_of(trace).names[separation.capsule].replace("_", " ")
     body = trace.scenario.hands[separation.hand].name + ("'s forearm" if separation.forearm else "")
-    terms = " + ".join(f"{term.symbol} {term.length_m * 1e3:.1f}" for term in separation.terms)
+    where = "inside" if separation.distance_m < 0.0 else "from"
     return (
-        f"{body} {separation.distance_m * 1e3:.1f} mm from {part}; "
-        f"needed are {separation.required_m * 1e3:.1f} mm = {terms} "
-        f"(arm {separation.robot_speed_mps * 1e3:.0f} mm/s towards it, "
-        f"v_h {separation.hand_speed_mps:.2f} m/s)"
+        f"{body} {abs(separation.distance_m) * 1e3:.1f} mm {where} {part}, where the hand's speed of "
+        f"{separation.hand_speed_mps:.2f} m/s and the arm's speed of {separation.robot_speed_mps * 1e3:.0f} "
+        f"mm/s towards it require {separation.required_m * 1e3:.1f} mm"
     )
 
 

@@ -32,12 +32,12 @@ from safety_harness.cell.robot.kinematics import fastest_end, forward_kinematics
 REACHING_MPS = 2.0  # ISO 13855, for a hand that reaches from close by
 WALKING_MPS = 1.6  # ISO 13855 and ISO/TS 15066, for a person who walks; what edition 1 of the claims assumed
 ASSUMED = (
-    ("S_h", "the human goes on at this speed until the robot stands, v_h (T_r + T_s)"),
-    ("S_r", "the robot goes on at its speed towards the human for the reaction time, v_r T_r"),
-    ("S_s", "then it brakes uniformly, v_r T_s/2"),
-    ("C", "none: the distance is measured from the true surfaces of hand and forearm"),
-    ("Z_d", "the human is known at control ticks, and is that much elsewhere between two, |v| dt/2"),
-    ("Z_r", "so is the robot; its capsules enclose its meshes"),
+    ("S_h", "the way of the person until the robot stands, v_h (T_r + T_s)"),
+    ("S_r", "the way of the robot towards the person during its reaction time, v_r T_r"),
+    ("S_s", "the way of the robot while it brakes uniformly, v_r T_s/2"),
+    ("C", "zero, because the distance is measured from the true surfaces of hand and forearm"),
+    ("Z_d", "the way of the person between two control ticks, where no position is known, |v| dt/2"),
+    ("Z_r", "the way of the robot between two control ticks; its capsules enclose its meshes"),
 )
 
 

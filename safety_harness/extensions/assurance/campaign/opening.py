@@ -159,7 +159,7 @@ def only_runner(path: Path) -> Iterator[None]:
     function removes the lock's file, and the ledger's folder if it made that folder and it is still empty.
     """
     file = path.with_name(path.name + ".lock")
-    made = not path.parent.exists()
+    new_folder = not path.parent.exists()
     with writing(file):
         path.parent.mkdir(parents=True, exist_ok=True)
         stream = file.open("a+")
@@ -179,7 +179,7 @@ def only_runner(path: Path) -> Iterator[None]:
             yield
         finally:
             file.unlink(missing_ok=True)
-            if made:
+            if new_folder:
                 with suppress(OSError):  # it is not empty
                     path.parent.rmdir()
 
