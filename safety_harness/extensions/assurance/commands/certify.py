@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -317,6 +319,16 @@ def seal_report(
     return AS_EXPECTED
 
 
+@contextmanager
+def _shown_if_interrupted(lines: list[str]) -> Iterator[None]:
+    """Print ``lines`` if Ctrl-C interrupts the work, so that finished checks are not lost."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        result(*lines)
+        raise
+
+
 def _chance(given: str | float) -> float:
     """Return a chance between 0 and 1 from ``given``, which is in per cent or a number."""
     text = str(given)
@@ -381,8 +393,9 @@ def verify(
     from safety_harness.extensions.assurance.certification.lodged import seal_file
     from safety_harness.extensions.assurance.certification.verify import verify as verify_report
 
-    checks = []
-    with paced_lines() as show:
+    checks: list[dict[str, Any]] = []
+    lines: list[str] = []
+    with paced_lines() as show, _shown_if_interrupted(lines):
         for check in verify_report(
             report,
             runs=runs,
@@ -395,17 +408,16 @@ def verify(
         ):
             checks.append(asdict(check) | {"stands": check.stands})
             mark = "DIFF" if not check.stands else "open" if check.unchecked else "ok  "
-            result(f"{mark} {check.looked_at}")
-            lines = (*check.faults, *check.notes, *(f"not checked: {item}" for item in check.unchecked))
-            result(*(f"     {line}" for line in lines))
+            remarks = (*check.faults, *check.notes, *(f"not checked: {item}" for item in check.unchecked))
+            lines += [f"{mark} {check.looked_at}", *(f"     {remark}" for remark in remarks)]
     stands, whole = all(item["stands"] for item in checks), not any(item["unchecked"] for item in checks)
     document(stands=stands, checks=checks)
-    open_ones = "" if whole else ", but for what was not checked"
     if stands:
         evidence = read_evidence(report / JSON)
-        result(evidence.basis, f"the report stands{open_ones}: {evidence.standing.value}")
+        open_ones = "" if whole else ", except for the open points"
+        result(f"the report stands{open_ones}: {evidence.standing.value}", *lines, evidence.basis)
     else:
-        result("the report does not stand")
+        result("the report does not stand", *lines)
     if stands and seal is None:
         sealed = seal_file(report)
         rest = ["verify", report, "--seal", sealed] if sealed.is_file() else ["certify", "seal", report]
