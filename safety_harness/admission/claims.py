@@ -1,4 +1,4 @@
-"""Resolution of a claim's sentence to its property: an entry of the catalogue, or a formula."""
+"""Resolve a claim's sentence to its property, which is an entry of the catalogue or a formula."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ def property_of(claim: Claim, scenario: Scenario) -> Property:
 
     Args:
         claim: The claim.
-        scenario: The scenario that it belongs to.
+        scenario: The scenario that contains the claim.
 
     Raises:
         FormulaError: A formula is malformed, or does not fit into the scenario.
-        InadmissibleError: The sentence is unknown, and the hint lists the catalogue.  Or its bound has a
-            wrong unit.
+        InadmissibleError: The sentence is unknown, and the hint lists the catalogue.  The error may also mean
+            that the claim's bound has a wrong unit.
 
     """
     claimed = _property_of(claim, scenario)
@@ -61,8 +61,31 @@ def _property_of(claim: Claim, scenario: Scenario) -> Property:
     raise InadmissibleError(place=claim.place, expected=expected, got=repr(claim.sentence), hint=hint)
 
 
+def meaning_of(claimed: Property) -> str:
+    """Return a text that is equal for all spellings of a claim.
+
+    For example, "hand distance never below 50 mm", "hand distance > 5 cm" and "always hand distance >= 50 mm"
+    are one claim, because a margin of zero violates none of them.
+    """
+    meant = entry_claimed(claimed.sentence)
+    if isinstance(claimed, FormulaClaim):
+        formula = claimed.formula
+    elif meant is not None and meant[0].formula:
+        formula = parse_formula(meant[0].formula.format(meant[1][1]))
+    else:
+        return claimed.sentence
+    match parts_of(formula):
+        case (Always(body=Comparison() as bound, span=None),):
+            below = bound.relation in (Relation.BELOW, Relation.AT_MOST)
+            return f"{bound.signal.words} {'<' if below else '>'} {bound.limit.value!r}"
+    return str(formula)
+
+
 def _refuse_more_than_a_step(claim: Property, scenario: Scenario, place: Place) -> None:
-    """Raise InadmissibleError if no step of the avoider can ever exceed the claim's tolerance."""
+    """Raise InadmissibleError if the claim's tolerance is too large.
+
+    It must be below the largest possible error of an avoider's step, so that a step can violate the claim.
+    """
     step_m = scenario.settings.avoidance.radius_m
     if not re.match("proposals|repulsion", claim.sentence):
         return
@@ -75,7 +98,7 @@ def _refuse_more_than_a_step(claim: Property, scenario: Scenario, place: Place) 
 def _refuse_what_every_run_keeps(claim: FormulaClaim, place: Place) -> None:
     """Raise FormulaError if every run fulfils a part of the formula.
 
-    Such a part demands that a value that is never negative stays at or above zero.
+    Such a part only requires that a value is at least zero, although the value can never be negative.
     """
     for part in parts_of(claim.formula):
         bound = part.body if isinstance(part, Always) else None

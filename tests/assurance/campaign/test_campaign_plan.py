@@ -79,6 +79,13 @@ def test_the_shipped_plans_can_be_read() -> None:
             "claims[1].claim",
             "each claim once",
         ),
+        (
+            "claim: joint speeds within limits",
+            "claim: always hand distance > 15 cm",
+            17,
+            "claims[1].claim",
+            "each claim once",
+        ),
         ("avoider: opposite pose", "stop early: yes", 3, "stop early", "which tells when"),
         ("about: a test", "abuot: a test", 2, "abuot", "one of the keys"),
     ],

@@ -1,7 +1,7 @@
 """A plan: claims, scenario spaces, the number of runs in each space, and the traces to keep.
 
-The identity of the results includes the plan's text. Only a hash that another party holds can show that the
-plan existed before the results. docs/reference/plan.md describes the file.
+The identity of the results includes the plan's text. A plan is proven to be older than its results only if
+another party holds the hash of the plan. docs/reference/plan.md describes the file.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from safety_harness.admission.avoiders import BESIDE, command_line_reference, with_avoider
-from safety_harness.admission.claims import property_of
+from safety_harness.admission.claims import meaning_of, property_of
 from safety_harness.admission.driving import named_system
 from safety_harness.base.exceptions import InadmissibleError, InputError, Place, ScenarioError, near_miss
 from safety_harness.base.shipped.contents import located
@@ -76,10 +76,11 @@ MOST_TRACES = 100_000  # of a stratum, some 0.4 MB each
 
 @dataclass(frozen=True)
 class PlannedClaim:
-    """A claim that should hold, as its author wrote it; ``target`` bounds its probability of violation.
+    """A claim that should hold, as its author wrote it.
 
-    ``hazards`` are the plan's hazards under which the author listed the claim. ``hazard`` has their names, or
-    the author's own description.
+    ``target`` is the largest violation probability that the plan allows. ``hazards`` are the names of the
+    plan's hazards that the claim lists. ``hazard`` is a text with the names of these hazards, or the author's
+    own description.
     """
 
     claim: Claim
@@ -104,17 +105,20 @@ class Stratum:
 
     @property
     def number(self) -> int:
-        """The number from which the seeds derive; it depends on the name alone, not on other strata."""
+        """The number from which the seeds derive.
+
+        The number depends on the name alone, and not on other strata.
+        """
         return stratum_number(self.name)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan:
-    """A plan, made by ``read_plan``; all its bounds hold together with ``confidence``.
+    """A plan, as returned by ``read_plan``. All its bounds hold simultaneously with ``confidence``.
 
-    The ledger keeps whole traces of ``random_traces`` runs and of ``violations_kept`` violations in each
-    stratum. ``search_runs`` is the number of runs that search for counterexamples; no bound uses them.
-    ``avoider`` replaces the avoiders of the spaces. ``files`` are all files of the plan.
+    The ledger keeps the complete traces of ``random_traces`` runs and of ``violations_kept`` violations per
+    stratum. ``search_runs`` is the number of runs that search for counterexamples, and no bound uses these
+    runs. ``avoider`` replaces the avoiders of the spaces. ``files`` are all files of the plan.
     """
 
     title: str
@@ -149,16 +153,22 @@ class Plan:
 
     @property
     def search_world(self) -> WorldEntry:
-        """The world of searches and of ``campaign attribute``: kinematic, or the user's simulator."""
+        """The world that searches and ``campaign attribute`` use.
+
+        This is the user's simulator if the plan has one, and otherwise the kinematic world.
+        """
         return self.world if self.world.program else KINEMATIC
 
     @property
     def avoider_here(self) -> str | None:
-        """The plan's avoider, with a path from the working directory; None if the plan names no avoider."""
+        """The plan's avoider, with a path relative to the working directory.
+
+        None if the plan has no avoider.
+        """
         return None if self.avoider is None else _seen_from_here(self.file.parent, self.avoider)
 
     def with_avoider(self, scenario: Scenario) -> Scenario:
-        """Return ``scenario`` with the plan's avoider, if the plan names an avoider.
+        """Return ``scenario`` with the plan's avoider, or unchanged if the plan has no avoider.
 
         Args:
             scenario: A scenario of the plan.
@@ -169,7 +179,11 @@ class Plan:
 
 
 def read_packable(path: Path) -> Plan:
-    """Return the plan in ``path``; ScenarioError if a copy of its files, as in a report, reads otherwise."""
+    """Return the plan in ``path``.
+
+    A report contains a copy of the plan's files. Raise ScenarioError if such a copy would be read
+    differently.
+    """
     plan = read_plan(path)
     with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
         try:
@@ -188,7 +202,7 @@ def read_packable(path: Path) -> Plan:
 
 
 def _stored_references(plan: Plan) -> set[str]:
-    """Return the references to files in the plan's spaces, in the form in which traces store them."""
+    """Return the references to files in the plan's spaces, in the form that a trace stores."""
     spaces = ((stratum.space.tree, (stratum.space.file or plan.file).parent) for stratum in plan.strata)
     references = ((file_and_name(text)[0] or text, at) for tree, at in spaces for text in references_in(tree))
     return {portable(text, at) for text, at in references if Path(text).suffix}
@@ -203,11 +217,12 @@ def read_plan(path: str | Path, edition: int = EDITION) -> Plan:
     The function makes no avoider, because that would execute a user's file.
 
     Args:
-        path: The file. ``shipped:NAME`` is a shipped file, also where a plan names a space.
+        path: The file. ``shipped:NAME`` refers to a shipped file, and a plan may refer to a space in the same
+            way.
         edition: The edition of the catalogue that gives the claims their meaning.
 
     Raises:
-        InputError: The plan cannot be used; the error names the place.
+        InputError: The plan cannot be used. The error states the place in the file.
 
     """
     path = as_path(path, "read_plan(path)")
@@ -272,7 +287,11 @@ def read_plan(path: str | Path, edition: int = EDITION) -> Plan:
 
 
 def _world(field: Field) -> WorldEntry:
-    """Return the world that a plan names: one of ours, or a simulator, whose paths start as in a shell."""
+    """Return the world that a plan refers to.
+
+    The world is a built-in world or a user's simulator. Paths of a simulator are relative to the working
+    directory.
+    """
     labels = list(worlds_by_label())
     expected = f"{', '.join(labels)}, or a simulator: exec:COMMAND, tcp:HOST:PORT or unix:PATH"
     if (world := world_labelled(text := field.sentence(expected))) is None:
@@ -283,7 +302,10 @@ def _world(field: Field) -> WorldEntry:
 def _systems(
     strata: Iterable[Stratum], path: Path, reference: str | None
 ) -> Iterator[tuple[str, SystemUnderTest]]:
-    """Yield the system under test of each stratum; omit a missing program, which admission refuses later."""
+    """Yield the system under test of each stratum.
+
+    A stratum whose program is missing is omitted, because admission refuses it later.
+    """
     for stratum in strata:
         scenario = stratum.space.simplest
         if reference:
@@ -321,7 +343,11 @@ def scenarios_by_avoider(plan: Plan) -> Iterable[Scenario]:
 
 
 def _seen_from_here(folder: Path, reference: str) -> str:
-    """Return ``reference``, relative to ``folder``, with a path from the working directory."""
+    """Convert the path in ``reference``, and return the result.
+
+    The path in ``reference`` is relative to ``folder``. The path in the result is relative to the working
+    directory.
+    """
     file, name = file_and_name(reference)
     if not file:
         return reference
@@ -329,7 +355,7 @@ def _seen_from_here(folder: Path, reference: str) -> str:
 
 
 def _read(given: Fields | None, key: str, read: Callable[[Field], V], default: V) -> V:
-    """Return the value that ``read`` gives for ``key``, or ``default`` if the key is missing."""
+    """Return the result of ``read`` for the value of ``key``, or ``default`` if the key is missing."""
     field = given.optional(key) if given else None
     return read(field) if field else default
 
@@ -356,7 +382,10 @@ def _strata(listed: Field, folder: Path, library: Library) -> tuple[Stratum, ...
 
 
 def with_relative_paths(node: Node, folder: Path) -> Node:
-    """Return a copy of ``node`` in which parts under test and recordings have paths from ``folder``."""
+    """Return a copy of ``node`` with paths relative to ``folder``.
+
+    The function changes the paths of parts under test and of recordings.
+    """
 
     def relative(text: str) -> str:
         file, name = file_and_name(text)
@@ -372,16 +401,17 @@ def _claims(
     at: Field, strata: tuple[Stratum, ...], risks: PlannedHazards, edition: int
 ) -> tuple[PlannedClaim, ...]:
     claims: list[PlannedClaim] = []
-    meant: set[str] = set()
+    meant: dict[str, str] = {}  # the sentence of each meaning
     for item in at.items("a list of claims", least=1, most=MOST_CLAIMS):
         given = item.fields(CLAIM.names)
         sentence = given.required("claim")
         text = sentence.sentence("a claim of the catalogue, or a formula")
         claim = Claim(sentence=text, expected=Verdict.HOLDS, edition=edition, place=sentence.place)
         properties = [property_of(claim, stratum.space.simplest) for stratum in strata]
-        if properties[0].sentence in meant:
-            raise sentence.error("each claim once", got=f"{properties[0].sentence!r} a second time")
-        meant.add(properties[0].sentence)
+        if (meaning := meaning_of(properties[0])) in meant:
+            got = f"{properties[0].sentence!r}, which is {meant[meaning]!r} a second time"
+            raise sentence.error("each claim once", got=got)
+        meant[meaning] = properties[0].sentence
         listed = given.optional("hazards")
         hazards = risks.named(listed) if listed else ()
         if hazards and "hazard" in given:
