@@ -114,8 +114,7 @@ def test_strict_ends_with_1_where_something_is_open(
     assert capsys.readouterr().out.splitlines()[-1].endswith(f"evidence.html: {answer}")
     assert verify(out, runs=1, seed=0, strict=True) == DIFFERS
     assert (
-        capsys.readouterr().out.splitlines()[0]
-        == f"the report stands, except for the open points: {answer}"
+        capsys.readouterr().out.splitlines()[0] == f"the report stands, except for the open points: {answer}"
     )
 
 

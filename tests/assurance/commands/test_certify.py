@@ -359,9 +359,13 @@ def test_a_program_in_a_report_is_not_executed_unasked(
 @pytest.mark.parametrize(
     ("words", "code", "told"),
     [
-        (["certify", "--help"], 0, "certify declare PLAN, before, and certify seal REPORT, after"),
+        (["certify", "--help"], 0, "certify declare PLAN before the runs, and certify seal REPORT after"),
         (["certify"], 2, "Missing argument 'PLAN'"),
-        (["certify", "declare", "--help"], 0, "Print a hash over plan, seed, avoider, targets and software"),
+        (
+            ["certify", "declare", "--help"],
+            0,
+            "Print a hash of the plan, seed, avoider, targets and software",
+        ),
         (["certify", "seal"], 2, "Missing argument 'REPORT'"),
         (["certify", "--pdf", "--nonsense", "plan.yaml"], 2, "--nonsense"),
         (["verify", ".", "--miss", "0"], 2, "is no chance"),

@@ -1,4 +1,7 @@
-"""The open findings of a report, derived from its other parts; an assessor has to look at each finding."""
+"""The open findings of a report, which are derived from its other parts.
+
+An assessor must look at each finding.
+"""
 
 from __future__ import annotations
 
@@ -30,6 +33,8 @@ _PLAIN = {
     ClaimStatus.ESTIMATED: "is estimated only",
 }
 
+MOST_NAMED = 3  # files in a sentence
+
 
 def findings_of(
     evidence: Evidence,
@@ -45,11 +50,13 @@ def findings_of(
         ledger: The ledger of the runs.
         met: The counterexamples, or the reasons why the page cannot show them.
         searches: The searches of the strata.
-        of_stored: Findings on stored traces: unreadable ones, parts that no run tried, and limited commands.
+        of_stored: Findings on unreadable traces, on parts that no run tried, and on limited commands.
 
     """
     if not evidence.record.declaration_sha256:
         yield OpenFinding("nothing proves that the plan was declared before its runs were made", "plan")
+    elif uncovered := undeclared(ledger):
+        yield OpenFinding(uncovered, "plan")
     yield from of_claims(evidence.claims)
     yield from of_hazards(evidence.hazards, model_only=evidence.plan.model_only)
     yield from of_strata(ledger, evidence.strata)
@@ -70,6 +77,20 @@ def findings_of(
             yield OpenFinding(f"the author's note on {note.element!r} is on no element any more", "argument")
 
 
+def undeclared(ledger: Ledger) -> str:
+    """Return a sentence on files that users' modules opened and that no declaration covers, such as weights.
+
+    ``certify declare`` executes no program, so it cannot know these files. The sentence is empty if there are
+    none.
+    """
+    names = [name for name in ledger.opened if f"the file {name}" not in dict(ledger.declared.identity.parts)]
+    if not names:
+        return ""
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    listed = ", ".join(names[:MOST_NAMED]) + more
+    return f"the declaration does not cover {listed}, which a program opened: it may have changed since"
+
+
 def of_claims(claims: Sequence[ClaimEvidence]) -> Iterator[OpenFinding]:
     """Yield a finding for every claim that does not have the status SHOWN."""
     for claim in claims:
@@ -81,9 +102,9 @@ def of_claims(claims: Sequence[ClaimEvidence]) -> Iterator[OpenFinding]:
 
 
 def of_hazards(hazards: Sequence[HazardEvidence], *, model_only: bool) -> Iterator[OpenFinding]:
-    """Yield a finding for each hazard without a claim or required rate, or with a rate that does not meet it.
+    """Yield a finding for each hazard that has no claim or no required rate, or whose rate is too high.
 
-    ``model_only`` is true if the world is not validated; then no rate meets the required rate.
+    ``model_only`` is true if the world is not validated. In such a world, no rate meets the required rate.
     """
     for hazard in hazards:
         if not hazard.claims:
@@ -98,7 +119,7 @@ def of_hazards(hazards: Sequence[HazardEvidence], *, model_only: bool) -> Iterat
 
 
 def of_strata(ledger: Ledger, strata: Sequence[StratumResult]) -> Iterator[OpenFinding]:
-    """Yield a finding for each stratum with unfinished runs, unanswered questions or a hidden avoider."""
+    """Yield findings on each stratum with failed runs, unanswered queries or mostly overruled proposals."""
     for place, stratum in enumerate(strata):
         if stratum.failed:
             reasons = ledger.all(
@@ -119,7 +140,10 @@ def of_strata(ledger: Ledger, strata: Sequence[StratumResult]) -> Iterator[OpenF
 
 
 def of_searches(searches: Sequence[Searched], planned: int) -> Iterator[OpenFinding]:
-    """Yield a finding for each missing, interrupted or unconfirmed search of ``planned`` search runs."""
+    """Yield a finding for each search that is missing, interrupted or unconfirmed.
+
+    ``planned`` is the number of search runs in the plan.
+    """
     texts = [] if searches or not planned else ["the search that the plan asks for was not made"]
     for search in searches:
         if search.found is None:
@@ -135,7 +159,7 @@ def of_searches(searches: Sequence[Searched], planned: int) -> Iterator[OpenFind
 
 
 def of_examples(examples: Sequence[Example | str]) -> Iterator[OpenFinding]:
-    """Yield findings on ``examples`` that the page cannot show, and on those that no bound covers."""
+    """Yield findings on ``examples`` that the page cannot show, and on ``examples`` that the search found."""
     shown = [item.shown for item in examples if isinstance(item, Example)]
     problems = [item for item in examples if isinstance(item, str)]
     texts = []
@@ -152,7 +176,10 @@ def of_examples(examples: Sequence[Example | str]) -> Iterator[OpenFinding]:
 
 
 def of_worlds(credibility: Credibility, tested: Sequence[SystemUnderTest]) -> Iterator[OpenFinding]:
-    """Yield a finding for each reason to doubt the simulator, such as a cell that is no ``tested`` system."""
+    """Yield a finding for each reason to doubt the simulator.
+
+    A recorded cell is also a reason to doubt the simulator if its system is not in ``tested``.
+    """
     agreement = credibility.agreement
     if agreement is None or not agreement.present:
         text = "the agreement of the two worlds was not measured with this source"
@@ -179,7 +206,7 @@ def of_worlds(credibility: Credibility, tested: Sequence[SystemUnderTest]) -> It
 
 
 def of_selftest(selftest: SelfTest | None) -> Iterator[OpenFinding]:
-    """Yield findings on the harness: a missing or partial ``selftest``, false alarms, missed faults."""
+    """Yield findings on the harness: a missing or partial ``selftest``, false alarms, and missed faults."""
     if selftest is None:
         yield OpenFinding("nothing is said of how well the harness notices faults", "tools")
         return

@@ -1,14 +1,16 @@
-"""The hashes that an author lodges: the declaration of a plan before its runs, and the seal of its report.
+"""The hashes that an author lodges with a third party.
 
-``certify declare`` writes a declaration. It lists plan, seed, avoider, targets and software by name.
+An author lodges the declaration of a plan before its runs, and the seal of the report after the runs.
+``certify declare`` writes a declaration. A declaration lists by name the parts that the runs depend on: plan,
+seed, avoider, targets and software.
 
-Lodge the hash of the declaration where its date cannot change. If a report's ledger gives the same hash, the
-author declared the plan on that date or earlier. Runs repeat exactly. So a hash cannot show that the author
-had never made the same runs before. Therefore a doubting reader chooses the seed.
+Lodge the hash of the declaration at a place where its date cannot change. If a report's ledger gives the same
+hash, the author declared the plan on that date or earlier. Because runs repeat exactly, the hash cannot show
+that the author had never made the same runs before. A reader who doubts this can choose the seed.
 
-A seal is one hash over the root of a report's rows, its declaration and all of its files. Lodge the seal
-where it cannot change. It then shows that no file has changed since. Without a lodged seal, a person who
-alters a row can compute every hash in the report anew.
+A seal is one hash over the root of a report's rows, its declaration and all of its files. Lodge the seal at a
+place where it cannot change. A lodged seal shows that no file has changed since the seal was lodged. Without
+a lodged seal, a person who alters a row can compute all hashes of the report again.
 """
 
 from __future__ import annotations
@@ -35,12 +37,12 @@ from safety_harness.scenario.typed_json import of_format, read_json, typed
 
 
 class Lodged(ABC):
-    """Content that can be written as exactly one text, and the hash of this text."""
+    """Content that has only one possible text form, with the hash of this text."""
 
     @property
     @abstractmethod
     def as_json(self) -> str:
-        """The only text of this content."""
+        """The JSON text of this content. Equal content always has the same text."""
 
     @property
     def sha256(self) -> str:
@@ -57,7 +59,7 @@ def write_once(made: L, file: Path, read: Callable[[Path], L], *, expected: str)
     Args:
         made: The declaration or the seal.
         file: The file.
-        read: Reads an existing file.
+        read: A function that reads an existing file.
         expected: The description of the expected file in the error.
 
     Returns:
@@ -87,18 +89,21 @@ DECLARATION_FORMAT = "safety-harness declaration 1"
 
 @dataclass(frozen=True)
 class PlanDeclaration(Lodged):
-    """The declaration of a plan: the declared ``parts`` by name, and their common hash."""
+    """The declaration of a plan.
+
+    ``parts`` maps the name of each declared part to its value.
+    """
 
     parts: dict[str, Any]
 
     @property
     def as_json(self) -> str:
-        """The only text of this content, with sorted keys."""
+        """The JSON text of this content, with sorted keys. Equal content always has the same text."""
         document = {"format": DECLARATION_FORMAT, "declared": self.parts}
         return json.dumps(document, indent=1, sort_keys=True, ensure_ascii=True) + "\n"
 
     def changes(self, now: PlanDeclaration) -> Iterator[str]:
-        """Yield each difference between this declaration and ``now``, in words."""
+        """Yield a text for each difference between this declaration and ``now``."""
         for name in sorted(self.parts.keys() | now.parts.keys()):
             then, new = (side.parts.get(name, "nothing") for side in (self, now))
             if then != new:
@@ -157,14 +162,14 @@ def read_declaration(file: Path) -> PlanDeclaration:
 
 
 def declared_sha256(plan: Plan, file: Path | None) -> str:
-    """Return the hash of the plan's declaration; empty if there is no declaration.
+    """Return the hash of the plan's declaration, or an empty string if there is no declaration.
 
     Args:
         plan: The plan.
-        file: The declaration; None: the file beside the plan, if it exists.
+        file: The declaration. The default is the file beside the plan, if it exists.
 
     Raises:
-        InputError: The plan or the software differs from the declaration; the error names the difference.
+        InputError: The plan or the software differs from the declaration. The error lists the differences.
 
     """
     path = file or declaration_file(plan.file)
@@ -192,7 +197,10 @@ SEAL_FORMAT = "safety-harness seal 1"
 
 @dataclass(frozen=True)
 class Seal(Lodged):
-    """The root over the rows, the declaration's hash (empty: no declaration), and the manifest's hash."""
+    """The root hash over the rows, the declaration's hash, and the manifest's hash.
+
+    The declaration's hash is empty if the plan was not declared.
+    """
 
     rows: str
     declaration: str
@@ -200,18 +208,21 @@ class Seal(Lodged):
 
     @property
     def as_json(self) -> str:
-        """The only text of this content."""
+        """The JSON text of this content. Equal content always has the same text."""
         return json.dumps({"format": SEAL_FORMAT} | asdict(self), indent=1) + "\n"
 
     def changes(self, now: Seal) -> Iterator[str]:
-        """Yield each difference between this seal and ``now``, in words."""
+        """Yield a text for each difference between this seal and ``now``."""
         for name, then in asdict(self).items():
             if then != getattr(now, name):
                 yield f"the {name} changed after the seal"
 
 
 def seal_of(folder: Path, ledger: Ledger) -> Seal:
-    """Return the seal of the report in ``folder`` as it is now, with its open ``ledger``."""
+    """Return the seal of the report in ``folder`` in its present state.
+
+    ``ledger`` is the open ledger of the report.
+    """
     declaration = read_evidence(folder / JSON).record.declaration_sha256
     return Seal(root_of(ledger), declaration, sha256_of(folder / MANIFEST))
 
@@ -219,7 +230,7 @@ def seal_of(folder: Path, ledger: Ledger) -> Seal:
 def seal_file(folder: Path) -> Path:
     """Return the file for the seal of a report, which lies beside the report's ``folder``.
 
-    If the file lay in the folder, the seal could not cover it.
+    If the file were in that folder, the seal could not cover the file.
     """
     whole = folder.resolve()
     return whole.with_name(whole.name + ".seal.json")

@@ -1,8 +1,9 @@
-"""Check whether a report is sound: files, plan, ledger, stored traces, numbers, pages, and repeated runs.
+"""Check that a report is sound.
 
-Each examination states what it checked and which differences it found. A later change of the software is no
-fault by itself; the examination names it. A change of verdicts is a fault. ``verify`` runs a program in a
-report only with permission.
+The check covers the files, plan, ledger, stored traces, numbers and pages. It also repeats some runs. Each
+examination states the subject of the check and the differences that it found. A later change of the software
+is not a fault, but the examination reports it. A change of verdicts is a fault. ``verify`` runs a program in
+a report only with permission.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from safety_harness.extensions.assurance.campaign.plan import Plan, read_plan
 from safety_harness.extensions.assurance.campaign.session import LEDGER
 from safety_harness.extensions.assurance.certification.altered import turns_of
 from safety_harness.extensions.assurance.certification.evidence import read_evidence
+from safety_harness.extensions.assurance.certification.findings import undeclared
 from safety_harness.extensions.assurance.certification.folder import JSON, put_back_opened, read_manifest
 from safety_harness.extensions.assurance.certification.lodged import (
     L,
@@ -64,10 +66,12 @@ _HASH = re.compile(r"[0-9a-f]{64}")
 
 
 def lodged_hash(text: str | None, field: str) -> str | Path | None:
-    """Return the lodged hash in ``text``, or the path of the file that has it; None for None.
+    """Return the lodged hash in ``text``, or the path of the file that contains it.
+
+    Return None if ``text`` is None.
 
     Raises:
-        InputError: ``text`` is neither a hash nor a file; the error names the option ``field``.
+        InputError: ``text`` is neither a hash nor a file. The error states the option ``field``.
 
     """
     if text is None or _HASH.fullmatch(text.strip().lower()):
@@ -82,12 +86,14 @@ def lodged_hash(text: str | None, field: str) -> str | Path | None:
 def check_lodged(
     report: ReportFolder, *, seal: str | Path | None, declared: str | Path | None
 ) -> Examination:
-    """Compare a report with its lodged seal and declaration; if one is missing, a point stays unchecked.
+    """Compare a report with its lodged seal and declaration.
+
+    If a seal or declaration is missing, the result has an unchecked point.
 
     Args:
         report: The report.
-        seal: The lodged seal or its hash; None: not lodged.
-        declared: The lodged declaration or its hash; None: not lodged.
+        seal: The lodged seal or its hash, or None if no seal was lodged.
+        declared: The lodged declaration or its hash, or None if no declaration was lodged.
 
     """
     faults, notes, unchecked = [], [], []
@@ -105,13 +111,18 @@ def check_lodged(
             "plan, seed, avoider, targets and software are the declared ones; its runs began on "
             f"{report.recorded.provenance.began_at}: the declaration must have been lodged before"
         )
+        if uncovered := undeclared(report.ledger):
+            unchecked.append(uncovered)
     root = report.recorded.record.rows_sha256
     text = f"the root over all rows, {root[:16]}, and the hashes that were lodged elsewhere"
     return Examination("lodged", text, few(faults), () if faults else tuple(notes), tuple(unchecked))
 
 
 def _differs(lodged: str | Path, now: L, read: Callable[[Path], L], kind: str) -> list[str]:
-    """Return how ``now`` differs from a lodged hash or file, in words; only a file shows which part does."""
+    """Return the differences between ``now`` and a lodged hash or file.
+
+    Only a lodged file shows which part differs.
+    """
     if isinstance(lodged, Path):
         return list(read(lodged).changes(now))
     return [] if lodged == now.sha256 else [f"the {kind} of this report is {now.sha256}, not the lodged hash"]
@@ -133,23 +144,25 @@ def verify(
 ) -> Iterator[Examination]:
     """Check a report in several examinations.
 
-    If a file cannot be read, this is a fault of the report and ends the check.
+    If a file cannot be read, the report has a fault and the check ends.
 
     Args:
         folder: The report's folder.
-        runs: The number of runs to repeat; None: enough for ``miss``, but at most ``MOST_AGAIN``.
-        miss: The chance that the repeated runs miss all altered rows if these change a verdict.
-        seed: Draws the runs to repeat.
-        execute_programs: Allow the execution of programs in the report.
-        seal: The lodged seal's hash or file; None: not lodged.
-        declared: The lodged declaration's hash or file; None: not lodged.
-        on_progress: Receives a text before each step.
+        runs: The number of runs to repeat. The default is the number that ``miss`` requires, but at most
+            ``MOST_AGAIN``.
+        miss: The accepted probability that the repeated runs miss all altered rows, if these rows change a
+            verdict.
+        seed: The seed from which the runs to repeat are drawn.
+        execute_programs: Whether programs in the report may be executed.
+        seal: The hash or the file of the lodged seal, or None if no seal was lodged.
+        declared: The hash or the file of the lodged declaration, or None if no declaration was lodged.
+        on_progress: A callback, which receives a text before each step.
 
     Yields:
         The examinations in the order of the checks.
 
     Raises:
-        InputError: The folder is no report, or the report has a program that may not run.
+        InputError: The folder is no report, or the report has a program and ``execute_programs`` is false.
 
     """
     sealed, lodged_declaration = lodged_hash(seal, "--seal"), lodged_hash(declared, "--declared")
@@ -177,6 +190,7 @@ def verify(
         yield rows if plan else replace(rows, unchecked=(_REST,))
         if plan is None:
             return
+        # Refuse before any step that could execute a stranger's program.
         _refuse_to_execute(plan, runs, execute_programs)
         if execute_programs and runs != 0:
             named_by_user(plan.world)
@@ -198,12 +212,16 @@ def verify(
 
 
 def _of_the_plan(report: ReportFolder, drawing: Drawing) -> Iterator[Examination]:
-    """Yield the examinations of a report with the declared plan, and with rows that belong to its runs."""
+    """Yield the examinations of a report.
+
+    The report must have the declared plan and rows of its runs.
+    """
     plan, ledger, same = report.plan, report.ledger, report.same
     drawing.on_progress("stored traces, judged with the present code")
     stored = check_traces(plan, ledger, same=same)
     yield stored
     drawing.on_progress("the report from the ledger")
+    # These reruns use the stored traces, which must therefore stand.
     again = drawing.runs != 0 and stored.stands
     if (proof := check_proof(report)) is not None:
         yield proof

@@ -21,97 +21,126 @@ if TYPE_CHECKING:
 
 
 class _PlanOrCommand(TyperGroup):
-    """A command group in which ``certify PLAN`` works beside ``certify declare PLAN``.
+    """A command group that accepts ``certify PLAN`` as well as ``certify declare PLAN``.
 
-    If the first word names no command, the group takes it as a plan or an option.
+    If the first word is no command, the group treats it as a plan or an option.
     """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Insert the command ``plan`` if the first word of ``args`` is no command.
 
-        A shell that completes the first word gets all commands instead.
+        If a shell completes the first word, the shell gets all commands
+        instead.
         """
         named = args[0] in self.commands if args else ctx.resilient_parsing
         return super().parse_args(ctx, args if named else ["plan", *args])
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Return the names of the commands, without ``plan``, which a user does not type."""
+        """Return the names of the commands except ``plan``, which a user does not type."""
         return [name for name in super().list_commands(ctx) if name != "plan"]
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
-        """Return the command, but hide the name ``plan``, which a user should not read."""
+        """Return the command, but hide the name ``plan``, which a user should not see."""
         name, command, rest = super().resolve_command(ctx, args)
         return (None if name == "plan" else name), command, rest
 
 
 commands = Typer()
-_HELP = "Run a declared plan and write its evidence; declare, seal, delta."
+_HELP = "Run a declared plan and write its evidence (also: declare, seal, delta)."
 of_certify = Typer(name="certify", cls=_PlanOrCommand, help=_HELP, short_help=_HELP)
 
 
 @command(
     of_certify,
     "plan",
-    interrupted="interrupted: every finished run is kept, and the same command goes on from there",
+    interrupted="interrupted: every finished run is kept, and the same command continues",
     failed=DIFFERS,
 )
 def certify(
-    plan: Annotated[Path, Argument(help="A plan: claims, strata, runs, confidence.", metavar="PLAN")],
+    plan: Annotated[
+        Path, Argument(help="A plan, which states claims, strata, runs and confidence.", metavar="PLAN")
+    ],
     out: Annotated[
-        Path | None, Option(help="Folder for the report; without it reports/NAME of the plan.")
+        Path | None,
+        Option(help="Folder for the report. Default: reports/NAME, where NAME is the name of the plan."),
     ] = None,
     pdf: Annotated[
-        bool, Option("--pdf", help="Also print the page to evidence.pdf, with an installed Chromium.")
+        bool, Option("--pdf", help="Also print the page to evidence.pdf. This needs an installed Chromium.")
     ] = False,
     full: Annotated[
-        bool, Option("--full", help="On paper have all of the page, and not the gravest of each kind.")
+        bool,
+        Option(
+            "--full",
+            help="Print the whole page to the PDF, and not only the most severe results of each kind.",
+        ),
     ] = False,
     workers: Workers = None,
     selftest: Annotated[
-        Path | None, Option(help="selftest.json of safety-harness selftest, to be part of the report.")
+        Path | None, Option(help="Include this result of the command selftest (selftest.json) in the report.")
     ] = None,
     oracles: Annotated[
         Path | None,
-        Option(help="Independent oracles, likewise; of this version: shipped:plans/oracles.json."),
+        Option(
+            help="Include this result of independent oracles in the report. The result for this version is"
+            " shipped:plans/oracles.json."
+        ),
     ] = None,
     cell: Annotated[
         list[Path],
-        Option(help="compare-worlds.json of safety-harness compare-worlds, likewise; may be given again."),
+        Option(
+            help="Include this result of the command compare-worlds (compare-worlds.json) in the report. "
+            "May be repeated."
+        ),
     ] = [],  # noqa: B006
     declared: Annotated[
-        Path | None, Option(help="What certify declare wrote; without it PLAN.declared.json, if it is there.")
+        Path | None,
+        Option(
+            help="The declaration that certify declare wrote. Default: PLAN.declared.json, if this file "
+            "exists."
+        ),
     ] = None,
     proof: Annotated[
-        Path | None, Option(help="certificate.json of safety-harness prove, of the avoider's network.")
+        Path | None,
+        Option(
+            help="Include this proof about the avoider's network in the report (certificate.json of the "
+            "command prove)."
+        ),
     ] = None,
     since: Annotated[
         Path | None,
         Option(
-            help="An earlier report's folder: say what changed, and fail for what got worse.", metavar="OLD"
+            help="Folder of an earlier report. The command also prints the changes since that report, and "
+            "ends with exit code 1 if a result is worse.",
+            metavar="OLD",
         ),
     ] = None,
     controller: OfController = None,
 ) -> int:
     """Run a declared plan and write its evidence as a report.
 
-    The report has a page, JSON, JUnit XML, and all files for a repetition. It
-    is no certificate, and says so. The command prints a line for each claim.
+    The report has a page, JSON, JUnit XML, and all files that are needed to
+    repeat the runs. The report is no certificate, and it states this. The
+    command prints a line for each claim.
 
-    certify declare PLAN, before, and certify seal REPORT, after, print hashes
-    to lodge. The command refuses a plan that differs from its declaration.
+    Two other commands print hashes that you can lodge with a third party. Use
+    certify declare PLAN before the runs, and certify seal REPORT after the
+    runs. If the plan differs from its declaration, certify rejects the plan.
 
-    Bounds come from the plan's own independent runs. The report has the
-    findings of its search too, but they estimate no probability.
+    The bounds come from the plan's own independent runs. The report also has
+    the findings of a search, but these findings estimate no probability.
 
-    Ctrl-C keeps every finished run; the same command continues.
+    If you press Ctrl-C, every finished run is saved, and the same command
+    continues later.
 
-    The option --since OLD adds the delta to an earlier report (REPORT.delta
-    with delta.html and delta.json), which then decides the exit code.
+    With --since OLD, the command also compares the report with an earlier
+    report. It writes the comparison to REPORT.delta (delta.html and
+    delta.json), and the comparison decides the exit code.
 
-    Exit code 0: every claim has the status shown, or with --since no regression.
-    Exit code 1: a claim has another status, or with --since a regression.
-    Exit code 1 too: a part of the report failed.
-    Exit code 2: bad input, or a target that the plan's runs cannot meet.
+    Exit code 0: with --since: there is no regression; otherwise: each claim has
+    the status "shown".
+    Exit code 1: a claim has another status (only without --since), there is a
+    regression (with --since), or a part of the report failed.
+    Exit code 2: bad input, or the plan's runs cannot meet a target.
     Exit code 130: interrupted.
     """
     from safety_harness.admission.claims import property_of
@@ -177,7 +206,7 @@ def certify(
     )
     result(evidence.basis, f"{made.page}: {evidence.standing.value}")
     if not made.complete:
-        say("interrupted: the report says what is missing; the same command goes on from there")
+        say("interrupted: the report lists the missing parts; the same command continues")
     else:
         folder = shlex.quote(str(made.folder))
         executes = " --execute-programs" * bool(programs_in(made.plan))
@@ -189,7 +218,7 @@ def certify(
 
 
 def _shielded_lines(plan: Plan, ledger: Path) -> list[str]:
-    """Return how much shields slowed the arm in the stored random runs of each stratum."""
+    """Return lines that state how much a shield slowed the arm in the stored random runs of each stratum."""
     from safety_harness.extensions.assurance.campaign.ledger import Ledger
     from safety_harness.extensions.assurance.certification.guard import ReportGuard
     from safety_harness.extensions.assurance.certification.stored import random_traces
@@ -228,16 +257,17 @@ def _tell_delta(delta: EvidenceDelta, report: Path) -> None:
 @command(of_certify, "delta")
 def tell_delta(
     old: Annotated[Path, Argument(help="The folder of the earlier report.", metavar="OLD")],
-    new: Annotated[Path, Argument(help="The folder of the later one.", metavar="NEW")],
+    new: Annotated[Path, Argument(help="The folder of the later report.", metavar="NEW")],
 ) -> int:
-    """Compare two reports: changes and regressions, without runs.
+    """Compare two reports, and print changes and regressions.
 
-    NEW.delta (delta.html, delta.json) has all changes: software, system,
-    settings, spaces, claims, bounds and findings. It also lists the earlier
-    runs that apply to the later system.
+    The command runs no scenario. It writes all changes to NEW.delta (delta.html
+    and delta.json): changes of the software, the system, the settings, the
+    spaces, the claims, the bounds and the findings. It also lists the earlier
+    runs that still apply to the later system.
 
-    Exit code 0: no regression.
-    Exit code 1: a regression.
+    Exit code 0: there is no regression.
+    Exit code 1: there is a regression.
     Exit code 2: a folder is no report, is not finished, or has altered files.
     """
     from safety_harness.extensions.assurance.certification.delta import EarlierReport
@@ -255,18 +285,19 @@ def tell_delta(
 
 @command(of_certify, then="safety-harness certify {plan}")
 def declare(
-    plan: Annotated[Path, Argument(help="A plan that has not been run yet.", metavar="PLAN")],
+    plan: Annotated[Path, Argument(help="A plan whose runs have not begun yet.", metavar="PLAN")],
     out: Annotated[
-        Path | None, Option(help="File to write; without it PLAN.declared.json beside the plan.")
+        Path | None, Option(help="File for the declaration. Default: PLAN.declared.json beside the plan.")
     ] = None,
 ) -> int:
-    """Print a hash over plan, seed, avoider, targets and software.
+    """Print a hash of the plan, seed, avoider, targets and software.
 
-    Lodge it before the runs, where its date cannot change. Later, verify REPORT
-    --declared HASH shows that the report is of the declared plan.
+    Lodge the hash before the runs, at a place where its date cannot change.
+    Later, verify REPORT --declared HASH checks that the report belongs to the
+    declared plan.
 
     Exit code 0: the declaration is written.
-    Exit code 2: bad input, or another declaration is there.
+    Exit code 2: bad input, or another declaration already exists.
     """
     from safety_harness.extensions.assurance.campaign.plan import read_plan
     from safety_harness.extensions.assurance.certification.lodged import declaration_file, write_declaration
@@ -279,25 +310,29 @@ def declare(
     result(made.sha256)
     document(sha256=made.sha256, declaration=path)
     say(
-        f"{path}: plan, seed {read.seed}, avoider, targets and software. Lodge the hash where its day cannot "
-        "be changed, before you run the plan: a signed git tag, a timestamping service, an e-mail to whoever "
-        "will judge. Runs repeat themselves: let them name the seed, or they may ask if you had tried it."
+        f"{path} covers plan, seed {read.seed}, avoider, targets and software. Lodge the hash where its day "
+        "cannot be changed, before you run the plan: a signed git tag, a timestamping service, an e-mail to "
+        "the assessor. Let the assessor choose the seed, because you could have tried this one before."
     )
+    programs = [file.name for file in read.files if file.name.endswith(".py")]
+    if programs:
+        say(f"not covered: other files that {programs[0]} reads when it runs, such as weights")
     return AS_EXPECTED
 
 
 @command(of_certify, "seal", then="safety-harness verify {report} --seal HASH")
 def seal_report(
-    report: Annotated[Path, Argument(help="The folder of a report of certify.", metavar="REPORT")],
+    report: Annotated[Path, Argument(help="The folder of a report that certify wrote.", metavar="REPORT")],
 ) -> int:
-    """Print a hash over a report's rows, declaration and files.
+    """Print a hash of a report's rows, declaration and files.
 
-    Lodge it where it cannot change. The file REPORT.seal.json has it too.
-    Later, verify REPORT --seal HASH shows that no file was altered since.
+    Lodge the hash at a place where it cannot change. The file REPORT.seal.json
+    also contains the hash. Later, verify REPORT --seal HASH checks that no file
+    has changed since the seal was made.
 
     Exit code 0: the seal is written.
     Exit code 1: files of the report differ from its manifest.
-    Exit code 2: bad input, or another seal is there.
+    Exit code 2: bad input, or another seal already exists.
     """
     from safety_harness.extensions.assurance.certification.folder import read_manifest
     from safety_harness.extensions.assurance.certification.lodged import seal_file, write_seal
@@ -330,7 +365,7 @@ def _shown_if_interrupted(lines: list[str]) -> Iterator[None]:
 
 
 def _chance(given: str | float) -> float:
-    """Return a chance between 0 and 1 from ``given``, which is in per cent or a number."""
+    """Return the probability between 0 and 1 that ``given`` states as a percentage or a number."""
     text = str(given)
     try:
         value = float(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
@@ -343,45 +378,59 @@ def _chance(given: str | float) -> float:
 
 @command(commands, interrupted="interrupted: what was not checked yet is not known to stand", failed=DIFFERS)
 def verify(
-    report: Annotated[Path, Argument(help="The folder of a report of certify.", metavar="FOLDER")],
+    report: Annotated[Path, Argument(help="The folder of a report that certify wrote.", metavar="FOLDER")],
     runs: Annotated[
         int | None,
-        Option(help="Runs to make again, drawn at random; without it as --miss asks, 1000 at most.", min=0),
+        Option(
+            help="Number of randomly drawn runs to repeat. Default: as many as --miss requires, but at "
+            "most 1000.",
+            min=0,
+        ),
     ] = None,
     miss: Annotated[
         float,
         Option(
-            parser=_chance, help="Chance of overlooking altered rows that turn a verdict.", metavar="CHANCE"
+            parser=_chance,
+            help="Accepted probability that the repeated runs miss all altered rows, if these rows change "
+            "a verdict.",
+            metavar="CHANCE",
         ),
     ] = "1%",  # type: ignore[assignment]
     seal: Annotated[
-        str | None, Option(help="Hash that certify seal printed, as it was lodged elsewhere, or its file.")
+        str | None, Option(help="The lodged hash that certify seal printed, or the lodged file of the seal.")
     ] = None,
     declared: Annotated[
-        str | None, Option(help="Hash that certify declare printed, as it was lodged elsewhere, or its file.")
+        str | None,
+        Option(help="The lodged hash that certify declare printed, or the lodged file of the declaration."),
     ] = None,
     seed: Annotated[
         int | None,
         Option(
-            help="To repeat an earlier draw of runs; without it others each time, and it says which.", min=0
+            help="Seed of the random draw of runs, for example to repeat an earlier draw. Default: a new "
+            "seed each time, which the command prints.",
+            min=0,
         ),
     ] = None,
     execute_programs: Executes = False,
-    strict: Annotated[bool, Option(help="Exit code 1 also where something is open.")] = False,
+    strict: Annotated[bool, Option(help="End with exit code 1 also if a point is open.")] = False,
 ) -> int:
     """Check a report, and repeat some of its runs.
 
-    It checks files, plan, ledger and traces, and computes numbers and page
-    again. It names later changes (source, versions, networks, platform), and
-    each point that it could not check.
+    The command checks files, plan, ledger and traces, and computes the numbers
+    and the page again. It reports later changes of the source, the versions,
+    the networks and the platform. It also reports each point that it could not
+    check.
 
-    If you give no lodged --seal, only repeated runs can expose altered rows.
-    The command prints how few altered rows would turn a verdict, and the chance
-    that the repeated runs missed them.
+    Without a lodged seal (--seal), only repeated runs can reveal altered rows.
+    The command prints the smallest number of altered rows that would change a
+    verdict. It also prints the probability that the repeated runs missed all of
+    these rows.
 
-    Exit code 0: the report stands, and open points have a mark.
-    Exit code 1: the report does not stand, or a point is open (--strict).
-    Exit code 2: no report, or it has a program that may not run.
+    Exit code 0: the check found no fault, and open points are marked.
+    Exit code 1: the check found a fault, or a point is open (only with
+    --strict).
+    Exit code 2: the folder is no report, or the report has a program that may
+    not be executed.
     Exit code 130: interrupted.
     """
     import secrets
