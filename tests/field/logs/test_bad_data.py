@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import pytest
 from cells import cell, recorded, said, write_csv
 from log_formats import parquet
 
-from safety_harness.base.exceptions import InputError
+from safety_harness.base.exceptions import InputError, LogError
 from safety_harness.extensions.field.logs.judging import recorded as judged_log
 
 Lines = list[str]
@@ -70,6 +71,32 @@ def test_a_jump_of_a_hand_is_told_with_its_speed(log: Path) -> None:
     assert error.place.line == 13
     assert "possible at 1 m/s" in error.expected
     assert "m/s" in error.got
+
+
+def _with_bounds(log: Path, *changes: tuple[str, str]) -> LogError:
+    text = log.read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    log.write_text(text)
+    with pytest.raises(LogError) as caught:
+        judged_log(log)
+    return caught.value
+
+
+def test_a_bound_of_a_hands_speed_that_only_distant_samples_contradict_is_refused(log: Path) -> None:
+    """Neighbours differ by less than twice 30 mm, whatever the hand does between them."""
+    error = _with_bounds(
+        log, ("moves at most: 1.0 m/s", "moves at most: 0.05 m/s"), ("known to: 8 mm", "known to: 30 mm")
+    )
+    assert re.search(r"a way from the sample \d+ before that is possible at 0\.05 m/s", error.expected)
+
+
+def test_a_bound_of_a_joints_speed_that_only_distant_samples_contradict_is_refused(log: Path) -> None:
+    error = _with_bounds(
+        log, ("joints: {known to: 0.2 mrad", "joints: {move at most: 0.1 deg/s, known to: 5 mrad")
+    )
+    assert "0.1 deg/s at most" in error.expected
 
 
 def test_a_jump_of_a_joint_is_told_with_its_name(log: Path) -> None:

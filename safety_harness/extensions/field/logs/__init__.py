@@ -1,1 +1,1 @@
-"""The reader for logs of real cells, which puts their streams on one clock and makes a trace of them."""
+"""Read logs of real cells: put their streams on one clock, and make a trace from them."""

@@ -1,9 +1,9 @@
-"""The lead of the hands' clock over the joints' clock, from a body that both streams show.
+"""Estimate how far the hands' clock is ahead of the joints' clock, from a body that both streams show.
 
-Such a body moves with the tool: a marker on the flange, or a hand that holds on to the tool. Its place in the
-base frame is p(t + d) = R(t) c + x(t), with the lead d. The joints determine the rotation R and the position
-x of the tool. The place c of the body on the tool is constant but unknown. d and c are the least-squares
-solution.
+Such a body moves with the tool: a marker on the flange, or a hand that holds on to the tool. Its position in
+the base frame is p(t + d) = R(t) c + x(t), where d is the lead. The joints determine the rotation R and the
+position x of the tool. The position c of the body in the tool's frame is constant but unknown. A
+least-squares fit estimates d and c.
 """
 
 from __future__ import annotations
@@ -34,11 +34,12 @@ LEAST_MOVED_M = 0.05  # the least root mean square of the body's places about th
 
 @dataclass(frozen=True, kw_only=True)
 class Offset:
-    """The lead ``hands_ahead_s`` of the hands' clock over the joints' clock, known to ``known_to_s``.
+    """The offset between two clocks: the hands' clock is ahead of the joints' clock by ``hands_ahead_s``.
 
-    This uncertainty covers the estimates ``parts_s`` from each part of the recording, and their interval.
-    ``off_m`` is the root mean square error that no offset explains. ``explained`` is the share of the body's
-    variance that the arm's motion explains.
+    The uncertainty of this offset is ``known_to_s``. It covers each of the estimates ``parts_s`` and their
+    confidence interval. Each part of the recording provides one estimate. ``off_m`` is the root mean square
+    error that remains after the fit. ``explained`` is the fraction of the variance of the body's position
+    that the arm's motion explains.
     """
 
     hands_ahead_s: float
@@ -75,6 +76,7 @@ def align(log: CellLog, body: Body) -> Offset:
     fit = _Fit(joints_s, tools, body_s, places)
     every = np.ones(len(body_s), bool)
     peaks_s = _peaks_s(joints_s, tools[:, :3, 3], body_s, places)
+    # Correlated speeds only suggest offsets; the least squares of positions decide among them.
     fits = [(near_s, *fit.best(near_s, every)) for near_s in peaks_s]
     _, ahead_s, residual = min(fits, key=lambda peak: peak[2])
     there = fit.there(ahead_s, every)
@@ -105,6 +107,7 @@ def align(log: CellLog, body: Body) -> Offset:
     half_s = float(scipy.stats.t.ppf(0.5 + LEVEL / 2.0, PARTS - 1)) * spread_s
     return Offset(
         hands_ahead_s=ahead_s,
+        # The largest deviation of a part, plus the half width of Student's interval of their mean.
         known_to_s=float(np.abs(np.array(parts) - ahead_s).max()) + half_s / sqrt(PARTS),
         parts_s=tuple(parts),
         off_m=float(np.sqrt(residual / there.sum())),
@@ -120,12 +123,17 @@ class _Fit:
     places: Floats  # (m, 3)
 
     def there(self, ahead_s: float, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return which of the ``chosen`` (m,) samples of the body have a time at which joints are known."""
+        """Return which ``chosen`` samples lie within the time of the joints' samples, shape (m,)."""
         at = self.body_s - ahead_s
         return np.asarray(chosen & (at >= self.joints_s[0]) & (at <= self.joints_s[-1]))
 
     def residual(self, ahead_s: float, chosen: NDArray[np.bool_]) -> float:
-        """Return the sum of squares [m2] for the best place on the tool; infinity below 10 samples."""
+        """Return the sum of squared errors [m2] if the body is assumed to be fixed to the tool.
+
+        The position of the body in the tool's frame is fitted by least squares. The result is infinite if
+        there are fewer than 10 samples. If only some of the chosen samples are used, the sum is scaled to all
+        of them.
+        """
         there = self.there(ahead_s, chosen)
         if there.sum() < 10:
             return float("inf")
@@ -135,11 +143,13 @@ class _Fit:
             for j in range(4):
                 poses[:, i, j] = np.interp(at, self.joints_s, self.tools[:, i, j])
         turned, beside = poses[:, :, :3].reshape(-1, 3), (self.places[there] - poses[:, :, 3]).reshape(-1)
+        # The body is fixed to the tool: place = position + R offset is linear in the offset, for all samples
+        # together.
         offset_m = np.linalg.lstsq(turned, beside, rcond=None)[0]
         return float(((beside - turned @ offset_m) ** 2).sum() / there.sum() * chosen.sum())
 
     def best(self, near_s: float, chosen: NDArray[np.bool_]) -> tuple[float, float]:
-        """Return the best offset within ``NEAR_S`` of ``near_s``, and its residual."""
+        """Return the offset with the least residual within ``NEAR_S`` of ``near_s``, and this residual."""
         tried = near_s + np.arange(-NEAR_S, NEAR_S + 1e-9, GRID_S / 2.0)
         first = float(tried[int(np.argmin([self.residual(ahead_s, chosen) for ahead_s in tried]))])
         bounds = first - GRID_S, first + GRID_S
@@ -150,7 +160,7 @@ class _Fit:
 
 
 def _peaks_s(joints_s: Floats, tool_m: Floats, body_s: Floats, places: Floats) -> list[float]:
-    """Return the offsets at which the speeds of tool and body correlate, the best first.
+    """Return the offsets [s] at which tool speed and body speed correlate best, the best offset first.
 
     At each offset the two series overlap by at least half of the shorter one.
     """
@@ -161,6 +171,7 @@ def _peaks_s(joints_s: Floats, tool_m: Floats, body_s: Floats, places: Floats) -
         np.maximum(scipy.signal.correlate(body**2, np.ones(len(tool)), method="fft"), 1e-12)
         * np.maximum(scipy.signal.correlate(np.ones(len(body)), tool**2, method="fft"), 1e-12)
     )
+    # The normalised correlation; with a short overlap, it would be high by chance.
     alike = np.where(overlap >= 0.5 * min(len(body), len(tool)), products / power, -np.inf)
     padded = np.pad(alike, 1, constant_values=-np.inf)  # for peaks at the ends
     peaks = scipy.signal.find_peaks(padded, distance=NEAR_S / GRID_S)[0] - 1
@@ -169,7 +180,7 @@ def _peaks_s(joints_s: Floats, tool_m: Floats, body_s: Floats, places: Floats) -
 
 
 def _speed(time_s: Floats, places: Floats) -> Floats:
-    """Return the speed of ``places`` on a grid of times, minus its mean."""
+    """Return the speed of the positions ``places`` on a regular time grid, minus the mean speed."""
     grid_s = np.arange(time_s[0], time_s[-1], GRID_S)
     path = np.column_stack([np.interp(grid_s, time_s, column) for column in places.T])
     window = np.ones(9) / 9.0  # a mean over 90 ms, since single differences would show only noise

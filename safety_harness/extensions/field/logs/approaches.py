@@ -1,12 +1,14 @@
-"""The moves of hands in a log: their speed, acceleration and start, and how long the hand then stands.
+"""Find the moves of hands in a log.
 
+For each approach to the TCP, measure the speed, the acceleration, the start, and the time of rest afterwards.
 A hand moves while its mean speed over a tenth of a second is at least 100 mm/s. A path shorter than 50 mm is
-no move, and a stand below 100 ms does not separate two moves. An approach is a move that ends at least 100 mm
-nearer to the TCP than it began. It also ends at most 600 mm from the TCP.
+not a move, and a rest below 100 ms does not separate two moves. An approach is a move that ends at least 100
+mm nearer to the TCP than it began. It also ends at most 600 mm from the TCP.
 
-A separate count of approaches is an upper bound. It includes every motion by 100 mm towards the TCP within a
-move, even if the hand turns back without a stand. A move that a gap cuts also counts, and so does a gap
-across which the hand came nearer. The observed time is the time for which the log shows any hand.
+A separate count is an upper bound on the number of approaches. It includes every motion of at least 100 mm
+towards the TCP within a move, even if the hand turns back without a rest. It also includes each move that is
+interrupted by a gap. It also includes each gap if the hand is nearer to the TCP after the gap than before it.
+The observed time is the time during which the log shows at least one hand.
 """
 
 from __future__ import annotations
@@ -32,12 +34,14 @@ SHARE = 0.9  # of the greatest speed, at which the measurement of the accelerati
 
 @dataclass(frozen=True, kw_only=True)
 class Approach:
-    """One approach, with its greatest speed and its mean acceleration up to nine tenths of this speed.
+    """One approach with its greatest speed and its mean acceleration.
 
-    ``start_from_tcp_m`` (3,) is the start relative to the TCP at that time, in the base frame.
-    ``end_distance_m`` is the final distance from the TCP. ``dwell_s`` is the time for which the hand then
-    stood, or None if the log does not show it. ``pause_s`` is the time for which the hand stood before this
-    approach. It is None if the log does not show it, or after another approach.
+    The mean acceleration is measured until the hand has reached nine tenths of the greatest speed.
+    ``start_from_tcp_m`` (3,) is the hand's position relative to the TCP at the start, in the base frame.
+    ``end_distance_m`` is the hand's distance from the TCP at the end. ``dwell_s`` is the time for which the
+    hand rests after the approach, or None if the log does not show this time. ``pause_s`` is the time for
+    which the hand rests before the approach. It is None if the log does not show this time, or if the
+    previous move was also an approach.
     """
 
     speed_mps: float
@@ -50,7 +54,7 @@ class Approach:
 
 @dataclass(eq=False)
 class Watched:
-    """The approaches of hands, the time for which the log shows any hand, and the numbers of moves and gaps.
+    """The approaches of hands in a log, the numbers of moves and of gaps, and the observed time.
 
     ``counted`` is an upper bound on the number of approaches.
     """
@@ -73,7 +77,10 @@ class Watched:
 
 
 def approaches_of(log: CellLog) -> Watched:
-    """Return the approaches of all hands in ``log``, from the pieces between gaps longer than allowed."""
+    """Return the approaches of all hands in ``log``.
+
+    A gap that is longer than allowed divides the log into two pieces, which are searched separately.
+    """
     watched, facts = Watched(), log.hand_facts
     if facts is None:
         return watched
@@ -94,6 +101,7 @@ def approaches_of(log: CellLog) -> Watched:
                 watched.counted += _reaches(log, arm, time_s[across], hand.values[across])
             cut_before = cut_after
             seen_s.append((float(max(part[0], 0.0)), float(min(part[-1], log.seconds(log.joints)[-1]))))
+    # Several hands may be seen at the same time; their common time counts once.
     until_s = 0.0
     for first_s, last_s in sorted(seen_s):
         watched.seconds += max(last_s - max(first_s, until_s), 0.0)
@@ -102,7 +110,10 @@ def approaches_of(log: CellLog) -> Watched:
 
 
 def _reaches(log: CellLog, arm: ArmModel, time_s: Floats, hand_m: Floats) -> int:
-    """Return how often the hand at ``hand_m`` (n, 3) comes NEARER_M nearer to the TCP, to within NEAR_M."""
+    """Return how often the hand comes nearer to the TCP by at least NEARER_M and ends within NEAR_M of it.
+
+    The hand is at ``hand_m`` (n, 3) at the times ``time_s`` (n,).
+    """
     tcp_m = np.array([_tcp_m(log, arm, at_s) for at_s in time_s.tolist()])
     count, away, least_m, most_m = 0, True, np.inf, -np.inf
     for distance_m in np.linalg.norm(hand_m - tcp_m, axis=1).tolist():
@@ -115,9 +126,10 @@ def _reaches(log: CellLog, arm: ArmModel, time_s: Floats, hand_m: Floats) -> int
 
 
 def _piece(seen: Watched, time_s: Floats, hand_m: Floats, log: CellLog, arm: ArmModel) -> tuple[bool, bool]:
-    """Add to ``seen`` the moves in a piece without gaps, ``hand_m`` (n, 3) at ``time_s`` (n,).
+    """Find the moves in one piece of the log that has no gaps, and add them to ``seen``.
 
-    Return whether the piece cuts a move at its beginning, and whether it cuts a move at its end.
+    In this piece, the hand is at ``hand_m`` (n, 3) at the times ``time_s`` (n,). Return whether the piece
+    begins during a move, and whether it ends during a move.
     """
     inside = (time_s >= 0.0) & (time_s <= log.seconds(log.joints)[-1])
     time_s, hand_m = time_s[inside], hand_m[inside]
@@ -132,6 +144,7 @@ def _piece(seen: Watched, time_s: Floats, hand_m: Floats, log: CellLog, arm: Arm
         seen.moves += 1
         cuts = cuts[0] or first == 0, last == len(time_s) - 1
         path = slice(first, last + 1)
+        # A move whose end was not seen may have been a reach, so count it.
         seen.counted += max(_reaches(log, arm, time_s[path], hand_m[path]), not whole)
         stood_before_s, stood_s = stood_s, dwell_s
         if not whole:
@@ -143,6 +156,7 @@ def _piece(seen: Watched, time_s: Floats, hand_m: Floats, log: CellLog, arm: Arm
         if nearer_m < NEARER_M or length(to_m) > NEAR_M:
             continue
         peak = float(speed_mps[first : last + 1].max())
+        # The mean acceleration until a fraction of the peak speed, because it falls to zero towards the peak.
         fast = first + int(np.argmax(speed_mps[first : last + 1] >= SHARE * peak))
         rise_s = max(float(time_s[fast] - time_s[first]), float(np.diff(time_s).min()))
         seen.approaches.append(
@@ -160,7 +174,10 @@ def _piece(seen: Watched, time_s: Floats, hand_m: Floats, log: CellLog, arm: Arm
 
 
 def _speed(time_s: Floats, hand_m: Floats) -> Floats:
-    """Return the mean speed (n,) over a window about each sample, cut off at the ends of the piece."""
+    """Return the mean speed in a window around each sample, shape (n,).
+
+    At the ends of the piece, the part of the window that lies outside the piece is omitted.
+    """
     ends = [
         np.column_stack([np.interp(at, time_s, column) for column in hand_m.T])
         for at in (
@@ -175,7 +192,11 @@ def _speed(time_s: Floats, hand_m: Floats) -> Floats:
 
 
 def _moves(time_s: Floats, hand_m: Floats, speed_mps: Floats) -> list[tuple[int, int, float | None, bool]]:
-    """Return (first sample, last sample, stand after it [s], whether the log shows all of it) per move."""
+    """Return four values for each move.
+
+    They are the index of the first sample, the index of the last sample, the time of rest afterwards [s], and
+    whether the log shows the whole move. The time of rest is None if the log does not show it.
+    """
     state = np.concatenate([[False], speed_mps >= MOVES_MPS, [False]])
     change = np.diff(state.astype(np.int8))
     spans = list(
@@ -183,6 +204,7 @@ def _moves(time_s: Floats, hand_m: Floats, speed_mps: Floats) -> list[tuple[int,
     )
     joined: list[tuple[int, int]] = []
     for first, last in spans:
+        # A pause that is too short to be a stand belongs to the move.
         if joined and time_s[first] - time_s[joined[-1][1]] < LEAST_STAND_S:
             joined[-1] = joined[-1][0], last
         else:
@@ -202,7 +224,7 @@ def _moves(time_s: Floats, hand_m: Floats, speed_mps: Floats) -> list[tuple[int,
 
 
 def _tcp_m(log: CellLog, arm: ArmModel, time_s: float) -> Floats:
-    """Return the place (3,) of the TCP in the base frame at ``time_s``."""
+    """Return the position (3,) of the TCP in the base frame at ``time_s``."""
     joints: LogSamples = log.joints
     at_s, count = (joints.time_ns - log.origin_ns) / NS, len(arm.joint_names)
     q = np.array([np.interp(time_s, at_s, column) for column in joints.values.T[:count]])

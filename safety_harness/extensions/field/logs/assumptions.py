@@ -1,4 +1,7 @@
-"""The assumptions about a cell on which verdicts on its log depend, each with its evidence."""
+"""List the assumptions about a cell, and the evidence for each of them in the cell's log.
+
+The verdicts on the log are valid only if these assumptions are true.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +19,10 @@ A_FRAME = "a bag whose headers name it, with frame: {tf: FILE#/tf}; or a marker 
 
 @dataclass(frozen=True)
 class Assumption:
-    """One assumption about a cell: ``what`` is assumed.
+    """One assumption about a cell, which ``what`` states.
 
-    ``confirmed_by`` is the evidence in the log, or an empty text. ``would`` is the column that would be
-    evidence.
+    ``confirmed_by`` describes the evidence in the log; it is empty if the log has no evidence. ``would``
+    describes the data that would be evidence.
     """
 
     what: str
@@ -28,7 +31,7 @@ class Assumption:
 
 
 def assumptions_of(log: CellLog) -> tuple[Assumption, ...]:
-    """Return all assumptions about the arm and the hands on which verdicts on ``log`` depend."""
+    """Return the assumptions about the arm and the hands that verdicts on ``log`` require."""
     tcp, evidence = log.tcp, ""
     likely = [item for item in log.unused if any(name in item.partition("#")[2].lower() for name in LIKELY)]
     would = A_TCP + f", perhaps {', '.join(likely[:3])}" * bool(likely)
@@ -64,6 +67,6 @@ def assumptions_of(log: CellLog) -> tuple[Assumption, ...]:
 
 
 def unconfirmed_note(log: CellLog) -> str:
-    """Return the note on unconfirmed assumptions, which reports print beside the verdicts."""
+    """Return the note about unconfirmed assumptions that reports print beside the verdicts."""
     names = [a.what for a in assumptions_of(log) if not a.confirmed_by]
     return f"the log does not confirm {'; '.join(names)} (safety-harness log check lists missing evidence)"

@@ -1,8 +1,9 @@
-"""The reader of streams in MCAP files and ROS 2 bags (sqlite3 and MCAP), without a ROS installation.
+"""Read streams in MCAP files and ROS 2 bags (sqlite3 and MCAP), without a ROS installation.
 
-The reader knows where standard messages have their values. For another type it needs the definition in the
-bag and the path of the wanted field. Lengths are metres and angles are radians by REP 103, unless LOG.yaml
-states another unit. The memory that a stream needs does not depend on the rest of the bag.
+For messages of standard types, the reader knows which fields have the values. For messages of other types, it
+needs the definition in the bag and the path of the wanted field. Lengths are metres and angles are radians by
+REP 103, unless LOG.yaml states another unit. The memory that is needed to read a stream does not depend on
+the rest of the bag.
 """
 
 from __future__ import annotations
@@ -53,10 +54,12 @@ class Message:
 
 @dataclass(frozen=True)
 class Part:
-    """A field of each message at ``path``: ``width`` numbers, or a word that ``words`` maps to a number.
+    """A field that each message has at ``path``.
 
-    ``si`` is the unit of the numbers in SI. ``names``, unless empty, is the path of a field that names the
-    joint of each number, as in a ``JointState``.
+    The field contains either ``width`` numbers, or one word that ``words`` maps to a number. ``si`` is the
+    factor that converts the numbers to SI units. In a message such as ``JointState``, another field lists the
+    joint to which each number belongs. ``names`` is the path of that field, or empty if the message has no
+    such field.
     """
 
     path: str
@@ -75,15 +78,15 @@ def read_parts(
     time: str,
     framed: Callable[[str, Message], object] | None = None,
 ) -> None:
-    """Read the ``parts`` of each message with a program's reports, with NaN for a missing part.
+    """Read the ``parts`` of each report in a topic; missing numbers become NaN.
 
     Args:
         source: The topic.
-        collector: The collector of the samples.
+        collector: The collector to which the samples are added.
         parts: The fields to read.
-        names: The joints whose numbers are wanted, for parts with ``names``.
+        names: The joints whose numbers are read. They concern only the parts that have ``names``.
         time: STAMP or RECEIVED.
-        framed: A function that raises LogError for a message in another frame than stated, or None.
+        framed: A function that raises LogError if a message's frame is not the stated frame, or None.
 
     """
     for message in messages(source):
@@ -109,7 +112,7 @@ def read_parts(
 def _part_numbers(
     part: Part, value: Any, names: Sequence[str], source: LogSource, message: Message
 ) -> Sequence[float]:
-    """Return the numbers of ``part`` from its ``value`` in a message."""
+    """Return the numbers of ``part`` in a message; ``value`` is the content of the part's field."""
     if value is None:
         return [math.nan] * part.width
     if part.width == 1:
@@ -157,9 +160,10 @@ def _opened(source: LogSource) -> Iterator[Bag]:
 
 
 def messages(source: LogSource) -> Iterator[Message]:
-    """Yield every message of the stream's topic, in the order of receipt.
+    """Yield every message of the stream's topic in the order in which the messages were received.
 
-    Raise LogError if the topic is missing, the bag is damaged, or the bag states another number of messages.
+    Raise LogError if the topic is missing, if the bag is damaged, or if the number of messages differs from
+    the number that the bag states.
     """
     with _opened(source) as reader:
         connections = [link for link in reader.connections if link.topic == source.topic]
@@ -183,6 +187,7 @@ def messages(source: LogSource) -> Iterator[Message]:
                 expected = f"the fields of a message of {connection.msgtype}"
                 raise LogError(place=place, expected=expected, got=str(lacking)) from lacking
             yield message
+        # A reader may end early without an error, so that only the count shows that messages are missing.
         promised = sum(link.msgcount for link in connections)
         if number != promised:
             raise LogError(
@@ -202,11 +207,13 @@ def topics_of(source: LogSource) -> dict[str, str]:
 def read_joints(
     source: LogSource, collector: Collector, names: Sequence[str], *, time: str, angle: float
 ) -> None:
-    """Read the positions of the joints ``names``, then their velocities, with NaN for a missing velocity.
+    """Read the positions and the velocities of the joints ``names``; a missing velocity becomes NaN.
+
+    Each sample contains all positions, followed by all velocities.
 
     Args:
         source: The topic.
-        collector: The collector of the samples.
+        collector: The collector to which the samples are added.
         names: The log's names of the joints, in the arm's order.
         time: STAMP or RECEIVED.
         angle: The unit of angles [rad].
@@ -226,6 +233,8 @@ def read_joints(
             rates = [math.nan] * len(wanted)
         else:
             listed = tuple(content.name)
+            # A topic may have messages of a gripper or of another arm; the places of the names are found
+            # once.
             if listed not in places:
                 source.seen.update(listed)
                 places[listed] = []
@@ -248,6 +257,7 @@ def read_joints(
         numbers = [value * angle for value in (*values, *rates)]
         _add(collector, message, time, getattr(content, "header", None), numbers)
     if first is not None and not collector.seen:
+        # No message had a joint of the arm, so the names are probably different ones.
         _refuse_lacking(wanted, first.content.name, source, first)
     if skipped:
         count, them = sum(skipped.values()), shown(", ".join(name for listed in skipped for name in listed))
@@ -273,17 +283,23 @@ def read_positions(
     bound: SampleBound | None = None,
     speeds: str | None = None,
 ) -> None:
-    """Read the positions of a body and move them to the base frame; NaN if a message lacks the body.
+    """Read the positions of a body, and transform them to the base frame.
+
+    If a message does not contain the body, its position is NaN.
 
     Args:
         source: The topic.
-        collector: The collector of the samples.
+        collector: The collector to which the samples are added.
         time: STAMP or RECEIVED.
         length: The unit of lengths [m].
-        to_base: Returns the function that moves positions from the frame of a message to the base frame.
-        halves: True if a position may have only some of its numbers. Otherwise such a one raises LogError.
-        bound: The field with the uncertainty [m] of each sample, which is put after the position, or None.
-        speeds: The path of the field with the velocity [m/s] in the same frame, which is put last, or None.
+        to_base: A function that takes a message's frame, and returns the function that moves positions from
+            it to the base frame.
+        halves: True to accept a position even if some of its three numbers are missing. If False, such a
+            position raises LogError.
+        bound: The field with the uncertainty [m] of each sample, or None. The uncertainty is appended to the
+            position.
+        speeds: The path of the field with the velocity [m/s] in the same frame, or None. The velocity is
+            appended last.
 
     """
     for message in messages(source):
@@ -322,13 +338,18 @@ def read_positions(
             position = [*position, _bound(bound, content, source, message) * length]
         if speeds is not None:
             speed = _xyz(_follow(content, source, message, speeds), source, message)
+            # A velocity only turns with the frame, so subtract the shift of the frame's origin.
             ends = moved([value * length for value in speed]), moved([0.0] * 3)
             position = [*position, *(a - b for a, b in zip(*ends, strict=True))]
         _add(collector, message, time, header, position)
 
 
 def _bodies(source: LogSource, message: Message) -> Iterator[str]:
-    """Yield the names of all bodies in a message: those in its list, or the frames with the same parent."""
+    """Yield the names of all bodies in a message.
+
+    The bodies are either the entries of a list, or the frames that have the same parent as the stream's own
+    frame.
+    """
     content = message.content
     if message.kind == TF:
         parents = {item.child_frame_id.lstrip("/"): item.header.frame_id for item in content.transforms}
@@ -344,7 +365,7 @@ def _bodies(source: LogSource, message: Message) -> Iterator[str]:
 
 
 def _bound(bound: SampleBound, content: Any, source: LogSource, message: Message) -> float:
-    """Return the uncertainty of a position, in the position's unit; NaN if the message lacks it."""
+    """Return a position's uncertainty in the position's unit, or NaN if the message does not state it."""
     value = _follow(content, source, message, bound.field)
     if value is None:
         return math.nan
@@ -354,7 +375,7 @@ def _bound(bound: SampleBound, content: Any, source: LogSource, message: Message
 
 
 def error(source: LogSource, message: Message, expected: str, got: str, hint: str = "") -> LogError:
-    """Return a LogError with the place of ``message``."""
+    """Return a LogError that refers to ``message``."""
     place = Place(file=source.file, field=f"message {message.number} of {source.topic}")
     return LogError(place=place, expected=expected, got=got, hint=hint)
 
@@ -369,7 +390,10 @@ def _frame_of(header: Any) -> str:
 
 
 def _add(collector: Collector, message: Message, time: str, header: Any, values: Iterable[float]) -> None:
-    """Add the sample of a message to ``collector``, which counts it if it has no valid time."""
+    """Add the sample of a message to ``collector``.
+
+    If the message has no valid time, the collector does not keep the sample but only counts it.
+    """
     try:
         time_ns = _time_ns(message, collector.source, time, header)
     except LogError as refused:

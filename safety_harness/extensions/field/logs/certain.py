@@ -1,8 +1,8 @@
-"""The trace of a log, which states the source and uncertainty of each measured column, and its gaps.
+"""Make the trace of a log, with the source, the uncertainty and the gaps of each measured column.
 
-The trace interpolates joints and hands linearly between samples, at the ticks of one clock. The uncertainty
-of every number covers all motions that the joint or hand can have made between two samples.
-docs/explanation/verdicts.md derives why each verdict is certain.
+The trace interpolates joints and hands linearly between samples, at the ticks of one clock. Between two
+samples, a joint or hand may have moved in many ways; the uncertainty of each number covers all of them. The
+page docs/explanation/verdicts.md proves that the verdicts are certain.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from safety_harness.extensions.field.logs.reach import (
     rate_off,
 )
 from safety_harness.extensions.field.logs.reported_ticks import with_reports
-from safety_harness.extensions.field.logs.streams import NS, LogSamples
+from safety_harness.extensions.field.logs.streams import NS, LogSamples, strides
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.files import display_path
 from safety_harness.scenario.model import Scenario
@@ -63,7 +63,10 @@ _HAND_FILTER, _HORIZON = "hand filter", "prediction horizon"
 
 @dataclass(frozen=True, eq=False)
 class LoggedTrace:
-    """The trace of a log, a map from SHA-256 to the bytes of its hands' paths, and notes for the reader."""
+    """The trace of a log, with the recorded paths of the hands and with notes for the user.
+
+    ``recordings`` maps the SHA-256 of each path's file to the bytes of this file.
+    """
 
     trace: Trace
     recordings: dict[str, bytes]
@@ -110,9 +113,10 @@ def trace_from_log(log: CellLog) -> LoggedTrace:
 
 
 def _beyond_joints(log: CellLog) -> tuple[list[Gap], list[str]]:
-    """Return gaps and notes for the ends of the log at which hands have samples beyond the joints' samples.
+    """Return gaps and notes for the ends of the log at which only the hands were recorded, without joints.
 
-    A gap is the first or the last tick. An end that ``from`` or ``to`` chooses has only a note.
+    Each gap consists of the first or the last tick. If LOG.yaml chooses the beginning or the end of the log
+    with ``from`` or ``to``, there is a note but no gap.
     """
     gaps, notes = [], []
     chosen = dict(dict(log.said.entries("a log"))["log"].entries("streams"))
@@ -136,7 +140,7 @@ def _beyond_joints(log: CellLog) -> tuple[list[Gap], list[str]]:
 
 
 def _with_hands(trace: Trace) -> Trace:
-    """Return the trace with the places of the hands at the ticks, from their recorded paths."""
+    """Return the trace with the hands' positions at the ticks, computed from their recorded paths."""
     ticks, moved = trace.ticks.copy(), hand_paths(trace).positions_in_base_m
     ticks[HAND][:, : moved.shape[1]] = moved[:, :, 0]
     ticks[ELBOW][:, : moved.shape[1]] = moved[:, :, 1]
@@ -144,7 +148,7 @@ def _with_hands(trace: Trace) -> Trace:
 
 
 def _derived(trace: Trace, columns: dict[str, Measurement]) -> Trace:
-    """Return the trace with the columns that follow from joints and hands, with their uncertainties."""
+    """Return the trace with the columns that are derived from joints and hands, and their uncertainties."""
     known, count = trace.known, len(trace.ticks)
     values, ticks = derived(trace), trace.ticks.copy()
     of_arm = [gap for name in JOINTS for gap in known.column(name).gaps]
@@ -172,7 +176,10 @@ def _derived(trace: Trace, columns: dict[str, Measurement]) -> Trace:
 
 
 def _outside(off_by: NDArray[np.float64], gaps: tuple[Gap, ...]) -> NDArray[np.float64]:
-    """Return the uncertainty (n,) with zeros in the gaps that concern all hands, where no code reads it."""
+    """Return a copy of the uncertainty with zeros in the gaps that concern all hands, shape (n,).
+
+    No code reads the uncertainty in these gaps.
+    """
     outside = off_by.copy()
     for gap in gaps:
         if gap.hand is None:
@@ -195,6 +202,7 @@ def _joints(log: CellLog) -> tuple[NDArray[np.float64], NDArray[np.float64], Sou
     reach = over_ticks(time_ns, off_by, frozen=frozen, **grid)
     bent = _bends(time_ns, slope, log.period_ns, count)
     for first, end in reach.gaps:
+        # No code reads an uncertainty within a gap.
         bent[first:end] = 0.0
     reach = Reach(reach.within + bent, reach.gaps)
     at_ticks = np.column_stack([np.interp(tick_s, time_s, column) for column in position_rad.T])
@@ -208,6 +216,7 @@ def _joints(log: CellLog) -> tuple[NDArray[np.float64], NDArray[np.float64], Sou
             off_by = off_by + (fastest + facts.move_at_most_radps).max(axis=1)
         of_rates = Source.LOG
     else:
+        # Without reported speeds, a tick has the mean speed of the span between samples that contains it.
         span = np.clip(np.searchsorted(time_s, tick_s, side="right") - 1, 0, len(slope) - 1)
         rates, of_rates = slope[span], Source.DERIVED
         off_by = rate_off(slope, step_s, sample=facts.known_to_rad, **bounds)  # type: ignore[arg-type]
@@ -217,7 +226,11 @@ def _joints(log: CellLog) -> tuple[NDArray[np.float64], NDArray[np.float64], Sou
 def _bends(
     time_ns: NDArray[np.int64], slope: NDArray[np.float64], period_ns: int, count: int
 ) -> NDArray[np.float64]:
-    """Return how far (count,) samples are off the line between ticks: period / 4 times the speed's change."""
+    """Return the largest distance between nearby samples and the straight line between ticks, shape (count,).
+
+    The result at a tick covers the samples in the period before and in the period after the tick. A change of
+    speed between two ticks moves a sample off the line by at most a quarter of the period times this change.
+    """
     cells = np.zeros(max(count, 1))
     turned = np.abs(np.diff(slope, axis=0)).max(axis=1) if len(slope) > 1 else np.zeros(0)
     inner = time_ns[1:-1]
@@ -230,7 +243,10 @@ def _bends(
 
 @dataclass(frozen=True, eq=False)
 class _Path:
-    """One hand's stored path: the bytes of its CSV, its start, and the uncertainties of hand and elbow."""
+    """The recorded path of a hand: the bytes of its CSV file, the start position, and two uncertainties.
+
+    The uncertainties are those of the positions of the hand and of its elbow.
+    """
 
     body: Body
     data: bytes
@@ -240,7 +256,10 @@ class _Path:
 
 
 def _path(log: CellLog, body: Body) -> _Path:
-    """Return the path of a hand and its elbow as a recording from tick 0 on, linear between samples."""
+    """Return a recording of the path of a hand and its elbow.
+
+    The recording begins at tick 0 and is linear between samples.
+    """
     assert log.hand_facts is not None
     reaches, tracks, times = [], [], [np.zeros(1, np.int64)]
     for samples in (body.hand, body.elbow):
@@ -249,6 +268,7 @@ def _path(log: CellLog, body: Body) -> _Path:
         time_ns = samples.time_ns - log.hands_ahead_ns - log.origin_ns
         reaches.append(_body_reach(log, samples, time_ns))
         tracks.append((time_ns, samples.values))
+        # The path has a row at tick 0; samples less than 1 us later would be simultaneous with it.
         times.append(time_ns[time_ns > 1_000])
     time_ns = _filled(np.unique(np.concatenate(times)))
     rows = [time_ns / NS]
@@ -269,7 +289,7 @@ def _path(log: CellLog, body: Body) -> _Path:
 
 
 def _filled(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return ``time_ns`` with further times between any two that are too far apart for a recording."""
+    """Return ``time_ns`` with additional times, so that no interval exceeds the limit for recordings."""
     most = round(_LONGEST_STEP_S * NS)
     if len(time_ns) == 1:
         time_ns = np.append(time_ns, time_ns + most)
@@ -289,20 +309,10 @@ def _body_reach(log: CellLog, samples: LogSamples, time_ns: NDArray[np.int64]) -
     if known_to_m is None:
         known_to_m = np.full(len(time_ns), facts.known_to_m)
     sample_m = known_to_m + most_mps * log.clock_known_to_s + ROUNDING_M
+    for apart in strides(len(time_ns)):  # over a short step, the samples' errors hide a high speed
+        _refuse_fast(samples, time_ns, known_to_m, most_mps, log.clock_known_to_s, apart)
     way_m = np.linalg.norm(np.diff(samples.values, axis=0), axis=1)
     step_s = np.diff(time_ns) / NS
-    most_m = most_mps * (step_s + 2.0 * log.clock_known_to_s) + known_to_m[:-1] + known_to_m[1:]
-    fast = np.flatnonzero(way_m > most_m + ROUNDING_M)
-    if len(fast):
-        index = int(fast[0])
-        speed_mps = way_m[index] / step_s[index]
-        got = f"{way_m[index] * 1e3:.4g} mm in {step_s[index] * 1e3:.4g} ms, {speed_mps:.3g} m/s"
-        raise samples.error(
-            index + 1,
-            f"a way from the sample before that is possible at {facts.moves_at_most_mps:g} m/s",
-            got,
-            "another marker, another unit or another clock from here on? or hands: {moves at most: ...}",
-        )
     grid = {"longest_ns": round(facts.longest_gap_s * NS), "period_ns": log.period_ns}
     worse_m = np.maximum(sample_m[:-1], sample_m[1:])
     off_m = body_off_m(way_m, step_s, most_mps=most_mps, sample_m=worse_m)
@@ -312,8 +322,34 @@ def _body_reach(log: CellLog, samples: LogSamples, time_ns: NDArray[np.int64]) -
     return from_ends(reach, first_ns, last_ns, most=most_mps, sample=at_ends_m, **grid)
 
 
+def _refuse_fast(
+    samples: LogSamples,
+    time_ns: NDArray[np.int64],  # (n,)
+    known_to_m: NDArray[np.float64],  # (n,)
+    most_mps: float,
+    clock_known_to_s: float,
+    apart: int,
+) -> None:
+    """Raise LogError if a body certainly exceeds ``most_mps`` between samples with a distance ``apart``."""
+    way_m = np.linalg.norm(samples.values[apart:] - samples.values[:-apart], axis=1)
+    step_s = (time_ns[apart:] - time_ns[:-apart]) / NS
+    # The clock's error may lengthen the step at both of its ends.
+    most_m = most_mps * (step_s + 2.0 * clock_known_to_s) + known_to_m[:-apart] + known_to_m[apart:]
+    fast = np.flatnonzero(way_m > most_m + ROUNDING_M)
+    if len(fast):
+        index = int(fast[0])
+        speed_mps = way_m[index] / step_s[index]
+        before = "the sample before" if apart == 1 else f"the sample {apart} before"
+        raise samples.error(
+            index + apart,
+            f"a way from {before} that is possible at {most_mps:g} m/s",
+            f"{way_m[index] * 1e3:.4g} mm in {step_s[index] * 1e3:.4g} ms, {speed_mps:.3g} m/s",
+            "another marker, another unit or another clock from here on? or hands: {moves at most: ...}",
+        )
+
+
 def _of_hands(log: CellLog, paths: list[_Path]) -> dict[str, Measurement]:
-    """Return the columns of hands and elbows with their sources, uncertainties and gaps."""
+    """Return the source, the uncertainty and the gaps of each column with hands or elbows."""
     if not paths:
         return {}
     assert log.hand_facts is not None
@@ -331,7 +367,7 @@ def _together(reaches: list[Reach], most_mps: float) -> Measurement:
 
 
 def _scenario(log: CellLog, paths: list[_Path], recordings: dict[str, bytes]) -> Scenario:
-    """Return the scenario of the trace: the arm, the hands as recordings, the settings, the claims."""
+    """Return the scenario of the trace: the arm, the settings, the claims, and the recorded hands."""
     given = dict(log.said.entries("the log of a cell"))
     joints = log.joints.values[0, : log.joints.values.shape[1] // 2]
     stream = log.joints.source.name
@@ -367,6 +403,8 @@ def _hand(log: CellLog, path: _Path) -> Node:
             "track": _scalar("hand"),
             "elbow track": _scalar("elbow"),
             "starts at": _list([format_quantity(value, LENGTH) for value in path.starts_at_m]),
+            # The largest values that a scenario allows, because the log's own limits have already been
+            # applied.
             "longest gap": _scalar("10 s"),
             "fastest jump": _scalar("1000 m/s"),
         }
@@ -374,7 +412,7 @@ def _hand(log: CellLog, path: _Path) -> Node:
 
 
 def settings_with(period_s: float, given: Field | None, lead: float | None = None) -> Node:
-    """Return the settings in LOG.yaml with the control period and the horizon of the detections.
+    """Return the settings in LOG.yaml, plus the control period and the horizon of the detections.
 
     Args:
         period_s: The period of the ticks [s].
@@ -382,7 +420,7 @@ def settings_with(period_s: float, given: Field | None, lead: float | None = Non
         lead: The horizon [s] by which detections are predicted, or None if the log has no detections.
 
     Raises:
-        InputError: The settings contain a clock, or another horizon.
+        InputError: The settings contain a clock, or a horizon that differs from ``lead``.
 
     """
     period = _mapping({"control period": _scalar(format_quantity(period_s, TIME))})
@@ -408,7 +446,10 @@ def settings_with(period_s: float, given: Field | None, lead: float | None = Non
 
 
 def claims_of(given: Field | None) -> Node:
-    """Return the claims with expected verdicts, as in a scenario; claims in a list are expected to hold."""
+    """Return the claims of LOG.yaml as a mapping from each claim to its expected verdict, as in a scenario.
+
+    If LOG.yaml has a list of claims, each of them is expected to hold.
+    """
     if given is None:
         return Mapping((), 1)
     if isinstance(given.node, Mapping):
@@ -446,7 +487,7 @@ def _mapping(entries: dict[str, Node]) -> Mapping:
 
 
 def _system(scenario: Scenario) -> SystemUnderTest:
-    """Return the unknown system that drove the arm and saw the hands."""
+    """Return a description of the real system as an unknown controller and an unknown perception."""
     system = system_of(scenario, controller=Component(name=RECORDED))
     return replace(system, perception=Component(name=RECORDED))
 
@@ -460,7 +501,7 @@ def _provenance(log: CellLog) -> Provenance:
 
 
 def _notes(log: CellLog, paths: list[_Path]) -> Iterator[str]:
-    """Yield notes that tell the reader how the log became a trace."""
+    """Yield notes for the reader about the conversion of the log to a trace."""
     origin = log.origin_ns / NS
     tail_s = (int(log.joints.time_ns[-1]) - log.origin_ns) / NS - (log.ticks - 1) * log.period_s
     yield (

@@ -1,4 +1,4 @@
-"""Checks of a stream's samples against physical limits and against the statements of LOG.yaml."""
+"""Check a stream's samples against physical limits and against the statements in LOG.yaml."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from safety_harness.base.exceptions import LogError
 from safety_harness.cell.robot.description import ArmModel
 from safety_harness.extensions.field.logs.model import JointFacts
 from safety_harness.extensions.field.logs.sample_bound import SampleBound, refuse_unbounded
-from safety_harness.extensions.field.logs.streams import NS, LogSamples
+from safety_harness.extensions.field.logs.streams import NS, LogSamples, strides
 
 FARTHEST_M, FARTHEST_RAD = 10.0, 8.0 * np.pi  # a sample beyond these has another unit, or is none
 MOST_APART = 0.3  # the largest relative difference of speeds and way that shows another unit
@@ -23,7 +23,7 @@ HARDEST_TAKEN = 40.0  # rad/s2 or m/s2, the most that is assumed if LOG.yaml sta
 
 
 def joints_checked(joints: LogSamples, names: tuple[str, ...]) -> LogSamples:
-    """Return the samples in which every joint has an angle; raise LogError for an impossible angle."""
+    """Return the samples in which every joint has an angle; raise LogError if an angle is impossible."""
     values = joints.values[:, : len(names)]
     far = np.abs(values) > FARTHEST_RAD
     if far.any():
@@ -36,9 +36,10 @@ def joints_checked(joints: LogSamples, names: tuple[str, ...]) -> LogSamples:
 
 
 def positions_checked(positions: LogSamples, keep: bool) -> LogSamples:
-    """Return the samples that have a position, or all samples with ``keep``.
+    """Return the samples that have a position, or all samples if ``keep`` is true.
 
-    Raise LogError for a position too far away. Several such positions at one place mean a lost body.
+    Raise LogError if a position is too far away. If several far positions are all equal, they mean only that
+    the tracker lost the body.
     """
     far = np.abs(positions.values) > FARTHEST_M
     distant = far.any(axis=1)
@@ -53,7 +54,7 @@ def positions_checked(positions: LogSamples, keep: bool) -> LogSamples:
 
 
 def _measured(samples: LogSamples, there: NDArray[np.bool_]) -> LogSamples:
-    """Return the samples that ``there`` (n,) marks as measured; raise LogError for fewer than two."""
+    """Return the samples for which ``there`` (n,) is true; raise LogError if these are fewer than two."""
     if np.count_nonzero(there) < 2:
         raise LogError(
             place=samples.source.place,
@@ -70,10 +71,10 @@ def _measured(samples: LogSamples, there: NDArray[np.bool_]) -> LogSamples:
 
 
 def with_bounds(samples: LogSamples, bound: SampleBound | None = None, *, speeds: bool = False) -> LogSamples:
-    """Return the samples with the columns of uncertainty and speeds split off from the positions.
+    """Return the samples after moving the uncertainties and the speeds out of the columns with positions.
 
-    ``bound`` computes the uncertainty from its columns; without it there is one column [m]. ``speeds`` states
-    that the last three columns are speeds.
+    ``bound`` computes the uncertainty from its columns. If ``bound`` is None, a single column is the
+    uncertainty [m]. ``speeds`` is True if the last three columns are speeds.
     """
     if speeds:
         samples = replace(samples, values=samples.values[:, :-3], speeds_mps=samples.values[:, -3:])
@@ -87,7 +88,7 @@ def with_bounds(samples: LogSamples, bound: SampleBound | None = None, *, speeds
 
 
 def refuse_the_same(streams: list[LogSamples]) -> None:
-    """Raise LogError if two hands or elbows have the same samples, in one file or in two."""
+    """Raise LogError if two streams of hands or elbows have the same samples, even if the files differ."""
     for a, b in combinations(streams, 2):
         if np.array_equal(a.time_ns, b.time_ns) and np.array_equal(a.values, b.values):
             got = f"the samples of {a.source.name} twice"
@@ -96,12 +97,16 @@ def refuse_the_same(streams: list[LogSamples]) -> None:
 
 
 def the_short_way(joints: LogSamples, facts: JointFacts, arm: ArmModel) -> LogSamples:
-    """Return ``joints`` without wraps: where its angle jumps, a joint without ends goes the short way."""
+    """Return ``joints`` without wraps of the angles of joints that have no limits.
+
+    If the angle of such a joint jumps, the joint is assumed to have turned the short way.
+    """
     count, step_s = len(arm.joint_names), np.diff(joints.time_ns)[:, None] / NS
     turned_rad = wrapped_rad(np.diff(joints.values[:, :count], axis=0), step_s, facts, arm)
     if not (wraps := turned_rad != 0.0).any():
         return joints
     values = joints.values.copy()
+    # After a wrap, all later angles are off by the same turn.
     values[1:, :count] -= np.cumsum(turned_rad, axis=0)
     names = ", ".join(np.array(arm.joint_names)[np.any(wraps, axis=0)])
     note = f"{names} wraps at a turn {np.count_nonzero(wraps)} times, and has no ends: taken the short way"
@@ -111,10 +116,11 @@ def the_short_way(joints: LogSamples, facts: JointFacts, arm: ArmModel) -> LogSa
 def wrapped_rad(
     steps_rad: NDArray[np.float64], step_s: NDArray[np.float64] | float, facts: JointFacts, arm: ArmModel
 ) -> NDArray[np.float64]:
-    """Return the whole turns [rad] by which steps ``steps_rad`` (..., n) of joints without ends wrap.
+    """Return the multiple of 2 pi [rad] that a wrap added to each of the steps ``steps_rad`` (..., n).
 
-    A step takes ``step_s`` (..., 1). Within the longest gap, a step counts as a wrap only if the joint cannot
-    have gone the long way in that time.
+    Only joints without limits wrap. ``step_s`` (..., 1) is the duration of each step. A step of more than pi
+    is a wrap if its duration exceeds the longest gap. It is also a wrap if the joint is too slow to have
+    turned the long way.
     """
     endless = np.isinf(arm.position_lower_rad) & np.isinf(arm.position_upper_rad)
     sure = step_s * facts.move_at_most_radps + 2.0 * facts.known_to_rad < np.pi
@@ -123,7 +129,7 @@ def wrapped_rad(
 
 
 def noted_beyond_ends(joints: LogSamples, arm: ArmModel) -> LogSamples:
-    """Return ``joints`` with a note on each joint that the log shows beyond its ends."""
+    """Return ``joints`` with a note for each joint whose logged angle exceeds the joint's limits."""
     angles = joints.values[:, : len(arm.joint_names)]
     excess = np.fmax(angles - arm.position_upper_rad, arm.position_lower_rad - angles)
     for k in np.flatnonzero((excess > 0.0).any(axis=0)):
@@ -134,10 +140,22 @@ def noted_beyond_ends(joints: LogSamples, arm: ArmModel) -> LogSamples:
 
 
 def refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[str, ...]) -> None:
-    """Raise LogError if a joint's speed or acceleration between samples certainly exceeds its limit."""
-    step_s = np.diff(joints.time_ns) / NS
-    moved = np.abs(np.diff(joints.values[:, : len(names)], axis=0))
+    """Raise LogError if a joint's speed or acceleration certainly exceeds its limit.
+
+    The check compares neighbours, then every second sample, every fourth and so on, because the samples'
+    errors hide an excess over a short step.
+    """
+    for apart in strides(len(joints.time_ns)):
+        _refuse_jumps(joints, facts, names, apart)
+
+
+def _refuse_jumps(joints: LogSamples, facts: JointFacts, names: tuple[str, ...], apart: int) -> None:
+    """Make the check of ``refuse_jumping_joints`` for every sample number that is divisible by ``apart``."""
+    angles_rad = joints.values[::apart, : len(names)]
+    step_s = np.diff(joints.time_ns[::apart]) / NS
+    moved = np.abs(np.diff(angles_rad, axis=0))
     allowed = step_s[:, None] * facts.move_at_most_radps + 2.0 * facts.known_to_rad
+    allowed *= 1.0 + 1e-9  # the rounding of differences over long steps
     if (moved > allowed).any():
         index = int(np.argmax((moved > allowed).any(axis=1)))
         joint = int(np.argmax(moved[index] - allowed[index]))
@@ -148,7 +166,7 @@ def refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[st
             hint = "its angles wrap at a turn, and a joint with ends has to be logged without the wrap: the "
             hint += "angles alone do not say in which turn it is"
         raise joints.error(
-            index + 1,
+            (index + 1) * apart,
             f"{names[joint]} to turn at {most:.4g} deg/s at most, as the file says",
             f"a jump of {np.degrees(moved[index, joint]):.4g} deg in {step_s[index] * 1e3:.4g} ms, "
             f"{speed:.4g} deg/s",
@@ -157,13 +175,13 @@ def refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[st
     if facts.accelerate_at_most_radps2 is None or len(step_s) < 2:
         return
     # twice the second divided difference is an acceleration somewhere between the three samples
-    turned = np.abs(np.diff(np.diff(joints.values[:, : len(names)], axis=0) / step_s[:, None], axis=0))
+    turned = np.abs(np.diff(np.diff(angles_rad, axis=0) / step_s[:, None], axis=0))
     between_s, error = (step_s[1:] + step_s[:-1]) / 2.0, 2.0 * facts.known_to_rad / step_s
     hard = ((turned - (error[1:] + error[:-1])[:, None]) / between_s[:, None]).max(axis=1)
     if (hard > facts.accelerate_at_most_radps2 * (1.0 + 1e-6)).any():
         index = int(np.argmax(hard > facts.accelerate_at_most_radps2 * (1.0 + 1e-6)))
         raise joints.error(
-            index + 2,
+            (index + 2) * apart,
             f"{names[int(np.argmax(turned[index]))]} to speed up or brake at "
             f"{facts.accelerate_at_most_radps2:.4g} rad/s2 at most, as the file says",
             f"{hard[index]:.4g} rad/s2 at least, by three samples known to {facts.known_to_rad:.4g} rad",
@@ -172,7 +190,11 @@ def refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[st
 
 
 def refuse_another_unit(joints: LogSamples, names: Sequence[str]) -> None:
-    """Raise LogError if speeds, of all joints or of one, fit the angles only with rad and deg exchanged."""
+    """Raise LogError if the log seems to confuse radians and degrees.
+
+    This is the case if the speeds of one joint or of all joints match the angles only after a conversion
+    between rad and deg.
+    """
     angles, speeds = np.split(joints.values, 2, axis=1)
     steps, step_s = np.diff(angles, axis=0), np.diff(joints.time_ns)[:, None] / NS
     both, every = np.stack([steps, (speeds[1:] + speeds[:-1]) / 2.0 * step_s]), [*range(len(names))]
@@ -194,19 +216,22 @@ def refuse_contradicting_speeds(
     names: Sequence[str],
     unit: tuple[str, float],
 ) -> None:
-    """Raise LogError at the first interval in which ``speeds`` (n, k) contradict ``places`` (n, k).
+    """Raise LogError if ``speeds`` (n, k) contradict ``places`` (n, k).
 
-    Let T be the time between two samples, and a the largest acceleration. Then the mean speed differs from
-    the mean of the two measured speeds by at most a T/4. The check skips samples without speeds.
+    The error refers to the first interval with a contradiction. Let T be the time between two samples, and a
+    the largest acceleration. Then the mean speed differs from the mean of the two measured speeds by at most
+    a T/4. The check skips samples without speeds.
 
     Args:
-        samples: The samples, for times and errors.
+        samples: The samples, for their times and for the places in error messages.
         places: The positions (n, k).
         speeds: The speeds (n, k).
-        known: The uncertainties of places and of speeds.
-        hard: The largest acceleration a. None: twice what the speeds show, but at most HARDEST_TAKEN.
+        known: Two uncertainties, first that of the positions, then that of the speeds.
+        hard: The largest acceleration a. If it is None, twice the largest acceleration in the speeds is
+            assumed, but at most HARDEST_TAKEN.
         names: The names of the columns.
-        unit: The unit of positions in messages, and its number per SI unit.
+        unit: The name of the unit of positions in error messages, and the factor that converts SI to this
+            unit.
 
     """
     there = np.flatnonzero(np.isfinite(speeds).all(axis=1))
@@ -222,6 +247,7 @@ def refuse_contradicting_speeds(
     for sign in (1.0, -1.0):  # positions ahead of, then behind, the way by the speeds and its tolerance
         more = np.zeros(places.shape)
         more[1:] = np.cumsum(sign * (np.diff(places, axis=0) - by_speed) - allowed, axis=0)
+        # The largest conflict over all pairs of samples is the rise above the least value so far.
         since = np.minimum.accumulate(more, axis=0)
         for end, column in np.argwhere(more - since > 2.0 * known[0])[:1].tolist():
             conflicts.append((end, column, int(np.argmax(more[:, column] == since[end, column]))))

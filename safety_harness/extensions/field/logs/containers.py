@@ -1,4 +1,4 @@
-"""The files of bags: their topics, and their messages, each decoded by the definition of its own type.
+"""Open bags, and decode each message with the definition of its own type.
 
 ``rosbags`` reads ROS 1 and ROS 2 bags. ``safety_harness.extensions.field.logs.mcap`` reads MCAP files of any
 other profile, with messages in ROS 2's encoding, JSON or Protobuf.
@@ -20,18 +20,21 @@ Decode = Callable[[bytes], Any]
 
 
 class UnreadableDefinitionError(Exception):
-    """The definition of a message type cannot be used."""
+    """The error for a message type whose definition cannot be used."""
 
 
 class Bag:
-    """An open bag with its ``connections`` in the form of ``rosbags``, at least one for each topic."""
+    """An open bag.
+
+    The ``connections`` are objects of the package ``rosbags``; each topic has at least one connection.
+    """
 
     def __init__(self, storage: Any, *, ros1: bool) -> None:
         self._storage, self._ros1 = storage, ros1
         self.connections: list[Any] = list(storage.connections)
 
     def messages(self, connections: list[Any]) -> Iterator[tuple[Any, int, Any]]:
-        """Yield (connection, time of receipt [ns], content) of each message, in the order of receipt."""
+        """Yield (connection, time of receipt [ns], content) for each message, in the order of receipt."""
         decoders: dict[int, Decode] = {}
         for connection, received_ns, raw in self._storage.messages(connections):
             if connection.id not in decoders:
@@ -39,7 +42,7 @@ class Bag:
             yield connection, received_ns, decoders[connection.id](raw)
 
     def _decoder(self, connection: Any) -> Decode:
-        """Return the decoder of a connection's messages; raise UnreadableDefinitionError if there is none."""
+        """Return the decoder of a connection's messages; raise UnreadableDefinitionError if that fails."""
         encoding = getattr(connection.ext, "serialization_format", "cdr")
         try:
             if encoding == "json":
@@ -57,7 +60,10 @@ class Bag:
 
 
 def _ros(connection: Any, *, ros1: bool) -> Decode:
-    """Return the decoder from the bag's definition of the type, or from the standard one if it has none."""
+    """Return the decoder for a message type.
+
+    It uses the definition in the bag, or the standard definition if the bag contains no definition.
+    """
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
     kind, (form, text) = connection.msgtype, connection.msgdef
@@ -75,7 +81,7 @@ def _ros(connection: Any, *, ros1: bool) -> Decode:
 
 
 def _protobuf(name: str, definition: bytes) -> Decode:
-    """Return the decoder from ``definition``, the file descriptors in the channel's schema."""
+    """Return a Protobuf decoder; ``definition`` contains the file descriptors in the channel's schema."""
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
     pool = descriptor_pool.DescriptorPool()
@@ -89,7 +95,7 @@ def _protobuf(name: str, definition: bytes) -> Decode:
 def opened(file: Path) -> Iterator[Bag]:
     """Open the bag in a file or folder.
 
-    Raise ImportError if ``rosbags`` is missing, or any error that a damaged bag causes.
+    Raise ImportError if ``rosbags`` is missing; a damaged bag may raise any error.
     """
     storage, ros1 = _storage(file), file.suffix.lower() == ROS1
     storage.open()
@@ -102,7 +108,7 @@ def opened(file: Path) -> Iterator[Bag]:
 def _storage(file: Path) -> Any:
     """Return the reader of a bag.
 
-    If the metadata of a folder names no storage, the ending of its files selects the storage.
+    If a folder's metadata state no storage, the suffix of its files determines the storage.
     """
     from rosbags.rosbag1 import Reader as Reader1
     from rosbags.rosbag2 import Reader as Reader2

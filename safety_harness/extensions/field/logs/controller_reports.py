@@ -1,8 +1,8 @@
-"""The controller's reports in a log: mode, limits, commands, predicted hands and decisions.
+"""Read a controller's reports from a log: mode, limits, commands, predicted hands and decisions.
 
-A program's report is exact, unlike a measurement, and is valid from its stamp until the next report. Its
-stamp has the uncertainty that LOG.yaml states. If no report comes for longer than the longest gap, a report
-may be lost.
+The values in a report are exact, whereas measurements have errors. A report is valid from its stamp until the
+next report. The uncertainty of the stamps is stated in LOG.yaml. If no report comes for longer than the
+longest gap, a report may be lost.
 """
 
 from __future__ import annotations
@@ -71,12 +71,16 @@ FIELDS = {
     OUTCOME: "outcome",
     TRIGGER: "trigger",
 }
+# Larger numbers come from a wrong unit, such as degrees or millimetres.
 FASTEST_RADPS, FARTHEST_M, LARGEST_SPREAD_M = 8.0 * np.pi, 10.0, 10.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ReportedStream:
-    """One stream of reports, with stamps ``time_ns`` (n,) on the joints' clock, each known to ``off_ns``."""
+    """A stream of reports.
+
+    The stamps ``time_ns`` (n,) are on the joints' clock, and have errors of at most ``off_ns``.
+    """
 
     samples: LogSamples
     time_ns: NDArray[np.int64]
@@ -85,13 +89,16 @@ class ReportedStream:
 
     @property
     def values(self) -> NDArray[np.float64]:
-        """The numbers (n, k) in the n reports."""
+        """The numbers in the reports, with one row for each report, shape (n, k)."""
         return self.samples.values
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ControllerReports:
-    """All reports in a log; ``fields`` names the columns of ``decisions``, in this order."""
+    """All reports in a log.
+
+    ``fields`` lists the fields of a decision in the order of the columns in ``decisions``.
+    """
 
     mode: ReportedStream | None = None
     limits: ReportedStream | None = None
@@ -104,7 +111,7 @@ class ControllerReports:
 
 @dataclass(frozen=True, kw_only=True)
 class ReportClock:
-    """The lead of the hands' clock over the joints' clock, and its uncertainty."""
+    """The offset by which the hands' clock is ahead of the joints' clock, with its uncertainty."""
 
     hands_ahead_ns: int | None
     hands_known_to_ns: int
@@ -124,20 +131,24 @@ def read_reports(
     placed: Places,
     to_base: Callable[[LogSource, Field], ToBase],
 ) -> ControllerReports:
-    """Return the controller's reports from the streams below ``log`` that ``STREAMS`` lists.
+    """Return the controller's reports.
+
+    The function reads each stream in ``STREAMS`` that LOG.yaml lists below the key ``log``.
 
     Args:
         given: The keys of LOG.yaml.
         streams: The keys below ``log``.
-        joints: The log's names of the joints, in the arm's order.
+        joints: The names that the joints have in the log, in the order of the arm's joints.
         clock: The lead of the hands' clock.
-        source_of: Returns the stream that a field names.
-        positions: Reads a stream of positions in the base frame, with NaN.
-        placed: Moves three columns of samples from a frame to the base frame.
-        to_base: Returns the transforms of a stream's messages from a stated frame to the base frame.
+        source_of: A function that returns the stream to which a field refers.
+        positions: A function that reads a stream of positions in the base frame and keeps NaN.
+        placed: A function that transforms positions to the base frame. The positions are three columns of
+            samples.
+        to_base: A function that returns the transforms of a stream's messages from a stated frame to the base
+            frame.
 
     Raises:
-        LogError: A stream or key cannot be used; the error has its place.
+        LogError: A stream or a key cannot be used (the error states its place).
 
     """
     parts: dict[str, object] = {}
@@ -163,7 +174,11 @@ def read_reports(
 
 @dataclass(frozen=True)
 class _Reading:
-    """A reader of one stream, ``field``, with the stream's own ``keys``."""
+    """A reader of one stream.
+
+    ``field`` is the entry of LOG.yaml that refers to the stream, and ``keys`` are the keys of LOG.yaml that
+    describe it.
+    """
 
     name: str
     field: Field
@@ -172,7 +187,10 @@ class _Reading:
     source_of: Callable[[Field], LogSource]
 
     def codes_of(self, table: Field, ours: Mapping[str, int]) -> dict[str, float]:
-        """Return the code of each word or number in the log; "and" joins several flags in LOG.yaml."""
+        """Return a mapping from each word or number in the log to its code.
+
+        If a word in the log stands for several flags, LOG.yaml lists these flags with "and" between them.
+        """
         meanings = {}
         for term, entry in table.entries("the log's words with ours, such as RETREAT: repulsing"):
             text = entry.scalar("a word of ours")
@@ -184,7 +202,7 @@ class _Reading:
         return meanings
 
     def stream(self, codes: dict[str, float]) -> ReportedStream:
-        """Return a stream with the code of one word in each sample."""
+        """Return a stream whose samples are the codes of words."""
         source = self.source_of(self.field)
         if source.is_bag:
             return self.timed(self.read_bag(source, [Part(self.path(source), 1, 1.0, codes)]))
@@ -210,7 +228,10 @@ class _Reading:
         return self.timed(samples)
 
     def tracks(self, positions: Positions) -> tuple[ReportedStream, ...]:
-        """Return a stream for each tracked hand; a sample without numbers means that it is not tracked."""
+        """Return one stream for each tracked hand.
+
+        A sample without numbers means that the hand was not tracked at that time.
+        """
         field, several = self.field, isinstance(self.field.node, MappingNode)
         parts = field.entries("tracked hands by their names") if several else (("", field),)
         if not parts:
@@ -223,7 +244,7 @@ class _Reading:
     def decisions(
         self, placed: Places, to_base: Callable[[LogSource, Field], ToBase]
     ) -> tuple[ReportedStream, tuple[str, ...]]:
-        """Return the stream of decisions, and the names of its mapped fields in the order of ``FIELDS``."""
+        """Return the stream of decisions, and the names of its fields in the order of ``FIELDS``."""
         mapped = self.keys.required("fields").fields(tuple(FIELDS))
         table_keys = self.keys.optional("words")
         given = None if table_keys is None else table_keys.fields((OUTCOME, TRIGGER))
@@ -272,7 +293,7 @@ class _Reading:
         return self.timed(samples), names
 
     def refuse_no_decision(self, samples: LogSamples, at: Mapping[str, int]) -> None:
-        """Raise LogError for missing or impossible numbers; only a stop may lack a chosen position."""
+        """Raise LogError for impossible numbers, and for missing positions that the outcome requires."""
         values = samples.values
         stops = np.zeros(len(values), np.bool_)
         if OUTCOME in at:
@@ -282,6 +303,7 @@ class _Reading:
             if name in POSITIONS:
                 none = np.asarray(~np.isfinite(here).all(axis=1))
                 if name == "chosen":
+                    # A stop has no chosen position.
                     none &= ~stops
                 elif name == "proposed" and OUTCOME in at:  # only a proposal that was used needs numbers
                     none &= values[:, at[OUTCOME]] == DecisionOutcome.PROPOSED
@@ -305,7 +327,7 @@ class _Reading:
             raise samples.error(index, f"{self.name}: {expected}", f"{got} ({numbers})", hint)
 
     def path(self, source: LogSource) -> str:
-        """Return the path of the field with the word in a message."""
+        """Return the path to the word in a message."""
         return source.path or "data"
 
     def column(self, source: LogSource, name: str | None = None) -> str:
@@ -319,7 +341,7 @@ class _Reading:
         return wanted
 
     def read(self, source: LogSource, columns: list[TableColumn], least: int = 1) -> LogSamples:
-        """Return the samples in ``columns`` of a table."""
+        """Return the samples in the ``columns`` of a table."""
         time_key = self.keys.optional("time")
         time = time_column(
             source, header_of(source), None if time_key is None else time_key.sentence("the name of a column")
@@ -336,7 +358,7 @@ class _Reading:
         least: int = 1,
         framed: ToBase | None = None,
     ) -> LogSamples:
-        """Return the samples in ``parts`` of a topic's messages."""
+        """Return the samples in a topic; a sample consists of the ``parts`` of one message."""
         time_key = self.keys.optional("time")
         time = STAMP if time_key is None else time_key.one_of({stamp: stamp for stamp in (STAMP, RECEIVED)})
         collector = Collector(source, sum(part.width for part in parts), least=least)
@@ -344,7 +366,7 @@ class _Reading:
         return collector.samples()
 
     def timed(self, samples: LogSamples) -> ReportedStream:
-        """Return the samples as a stream of reports on the clock of the joints."""
+        """Return the samples as a stream of reports whose stamps are on the clock of the joints."""
         clock, by_ns = self.keys.optional("clock"), 0
         off_ns = round(self.keys.required("known to").quantity(TIME, least=0.0, most=LATEST_S) * NS)
         if clock is not None and clock.one_of({OF_JOINTS: False, OF_HANDS: True}):
@@ -352,6 +374,7 @@ class _Reading:
                 raise clock.error("the clock of the joints, since the log has no hands", got=OF_HANDS)
             by_ns, off_ns = self.clock.hands_ahead_ns, off_ns + self.clock.hands_known_to_ns
         longest_ns = None
+        # A decision is an event, while each other report is valid for some time.
         if self.name != DECISIONS:
             gap = self.keys.required("longest gap")
             if gap.scalar("a time, or: until the next") != UNTIL_THE_NEXT:
@@ -362,10 +385,10 @@ class _Reading:
 
 
 def width_of(name: str) -> int:
-    """Return the number of columns that a field of a decision has."""
+    """Return the number of columns for a field of a decision."""
     return 3 if name in POSITIONS or name == SPREAD else 1
 
 
 def ahead_s(reports: ControllerReports) -> float | None:
-    """Return the horizon [s] by which reported hands are predicted, or None without reported hands."""
+    """Return the prediction horizon [s] of the reported hands, or None if the log reports no hands."""
     return None if reports.ahead is None else reports.ahead.quantity(TIME, least=0.0, most=2.0)

@@ -1,4 +1,4 @@
-"""The statements of LOG.yaml on joints and hands, and on their uncertainties."""
+"""Read the statements in LOG.yaml about joints and hands, and about their uncertainties."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ OF_HANDS = (
 
 
 def said_of_joints(given: Fields) -> Fields:
-    """Return the keys below "joints" in LOG.yaml, or no keys if LOG.yaml has no "joints"."""
+    """Return the keys below "joints" in LOG.yaml; the result is empty if LOG.yaml has no key "joints"."""
     field = given.optional("joints")
     return Fields(given.whole, {}) if field is None else field.fields(OF_JOINTS)
 
 
 def facts_of_joints(keys: Fields, arm: ArmModel) -> JointFacts:
-    """Return the facts on joints from the keys below "joints"."""
+    """Return the facts about joints from the keys below "joints"."""
     most = arm.velocity_limit_radps.copy()
     if (field := keys.optional("move at most")) is not None:
         most = np.full(len(most), field.quantity(ANGULAR_SPEED, above=0.0))
@@ -60,9 +60,9 @@ def facts_of_joints(keys: Fields, arm: ArmModel) -> JointFacts:
 
 
 def facts_of_hands(keys: Fields, *, each: bool = False) -> HandFacts:
-    """Return the facts on hands from the keys below "hands".
+    """Return the facts about hands from the keys below "hands".
 
-    ``each`` states that every sample may have its own uncertainty.
+    ``each`` is True if every sample may have its own uncertainty.
     """
     known = keys.required("known to")
     by_sample = each and isinstance(known.node, Mapping)

@@ -1,4 +1,4 @@
-"""The conversion of messages in Foxglove's schemas to ROS messages, and of stamps to nanoseconds."""
+"""Convert messages in Foxglove's schemas to ROS messages, and stamps to nanoseconds."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ _PREFIXES = ("foxglove.", "foxglove_msgs/msg/")
 
 
 def as_standard(kind: str, content: Any) -> tuple[str, Any]:
-    """Return the type and content of a message; Foxglove's poses, frames and joints become ROS messages."""
+    """Convert a Foxglove message to a ROS message, and return its type and its content.
+
+    Foxglove's poses, frames and joints are converted. The content of other messages remains unchanged.
+    """
     prefix = next((item for item in _PREFIXES if kind.startswith(item)), None)
     name = "" if prefix is None else kind.removeprefix(prefix)
     if name == "JointStates":
@@ -54,7 +57,7 @@ def fields_of(content: Any) -> list[str]:
 
 
 def _number(joint: Any, name: str) -> float:
-    """Return the number ``name`` of a joint, or NaN if the joint lacks it."""
+    """Return the number in the field ``name`` of a joint, or NaN if the joint does not have this field."""
     there = joint.HasField(name) if hasattr(joint, "HasField") else getattr(joint, name, None) is not None
     return float(getattr(joint, name)) if there else math.nan
 

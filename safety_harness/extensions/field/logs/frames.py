@@ -1,4 +1,4 @@
-"""Transforms from the frame of logged positions to the base frame, from LOG.yaml or from ``/tf`` of a bag."""
+"""Transform logged positions to the base frame, with transforms from LOG.yaml or a bag's ``/tf``."""
 
 from __future__ import annotations
 
@@ -26,13 +26,17 @@ BASE = "base"
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """The fixed transforms of a bag: ``parents`` maps a frame to its parent and its pose (4, 4) in that."""
+    """The fixed transforms of a bag.
+
+    ``parents`` maps the name of a frame to the name of its parent frame and to its pose (4, 4) in the parent
+    frame.
+    """
 
     source: LogSource
     parents: dict[str, tuple[str, NDArray[np.float64]]]
 
     def transform(self, frame: str, base: str) -> NDArray[np.float64]:
-        """Return the transform (4, 4) from ``frame`` to ``base``; raise LogError if no chain joins them."""
+        """Return the transform (4, 4) from ``frame`` to ``base``; raise LogError if nothing connects them."""
         (root, root_of_frame), (base_root, root_of_base) = self._to_root(frame), self._to_root(base)
         if root != base_root:
             known = sorted({*self.parents, *(parent for parent, _ in self.parents.values())})
@@ -61,10 +65,10 @@ class Tree:
 
 
 def read_tree(source: LogSource, frame: str, base: str) -> Tree:
-    """Return the transforms in a topic of ``TFMessage``, and in ``/tf_static`` of the same bag.
+    """Return the transforms in a topic with messages of type ``TFMessage``, and those in ``/tf_static``.
 
-    Raise LogError if a frame between ``frame`` and ``base`` moves, since its pose between two messages is
-    unknown.
+    Both topics are in the same bag. Raise LogError if a frame between ``frame`` and ``base`` moves, because
+    the pose of a moving frame is unknown between two messages.
     """
     parents: dict[str, tuple[str, NDArray[np.float64]]] = {}
     moved: dict[str, tuple[Message, LogSource, float, float]] = {}
@@ -110,6 +114,7 @@ def _pose(transform: object, source: LogSource, message: Message) -> NDArray[np.
     norm = x * x + y * y + z * z + w * w
     if not abs(norm - 1.0) < 1e-3:
         raise error(source, message, "a unit quaternion", f"one of length {norm**0.5:.4g}")
+    # The division by the norm also corrects a quaternion whose digits were cut off.
     s = 2.0 / norm
     rotation = np.array(
         [
@@ -122,7 +127,7 @@ def _pose(transform: object, source: LogSource, message: Message) -> NDArray[np.
 
 
 def moved_by(transform: NDArray[np.float64]) -> Callable[[Sequence[float]], Sequence[float]]:
-    """Return the function that moves positions by ``transform`` (4, 4)."""
+    """Return a function that applies ``transform`` (4, 4) to positions."""
     (a, b, c, x), (d, e, f, y), (g, h, i, z) = transform[:3].tolist()
 
     def moved(p: Sequence[float]) -> Sequence[float]:
@@ -138,13 +143,15 @@ def moved_by(transform: NDArray[np.float64]) -> Callable[[Sequence[float]], Sequ
 def by_header(
     base: str, source: LogSource, transform_base: NDArray[np.float64], tf: LogSource | None
 ) -> ToBase:
-    """Return the transform to base for the frame in each header: ``base``, or a frame that ``tf`` connects.
+    """Return the transforms to base from the frames in message headers.
+
+    The frame in each header must be ``base``, or a frame for which ``tf`` contains transforms to ``base``.
 
     Args:
         base: The name of the base frame in the bag.
         source: The stream of positions.
-        transform_base: (4, 4) from that frame to the scenario's base frame.
-        tf: The stream of transforms, or None if every header must have ``base``.
+        transform_base: The transform (4, 4) from the frame ``base`` to the scenario's base frame.
+        tf: The stream of transforms, or None if every header must have the frame ``base``.
 
     """
     known: dict[str, Callable[[Sequence[float]], Sequence[float]]] = {base: moved_by(transform_base)}
@@ -164,16 +171,18 @@ def by_header(
 
 
 def by_given(transform: NDArray[np.float64], name: str | None, base: str, source: LogSource) -> ToBase:
-    """Return the stated ``transform`` (4, 4) as the transform of all messages.
+    """Return a function that gives the same ``transform`` (4, 4) for every message.
 
     Args:
-        transform: (4, 4) from the frame of the positions to the base frame.
-        name: The name of that frame, or None for the name in the first header.
-        base: The name of the base frame. A transform that moves positions cannot start there.
+        transform: The transform (4, 4) from the frame of the positions to the base frame.
+        name: The name of the frame of the positions, or None to accept the frame in the first header.
+        base: The name of the base frame. If the messages already have this frame, only the identity is
+            accepted as the transform.
         source: The stream of positions.
 
     Raises:
-        LogError: A message's header has another frame than ``name``, or than the message before.
+        LogError: A message's header has a frame that differs from ``name``, or from the frame in the message
+            before.
 
     """
     moved, stated = moved_by(transform), name
@@ -198,7 +207,10 @@ def by_given(transform: NDArray[np.float64], name: str | None, base: str, source
 
 
 def given_transform(frame: Field) -> NDArray[np.float64]:
-    """Return the transform (4, 4) that LOG.yaml states, from the frame of the positions to the base frame."""
+    """Return the transform from the frame of the positions to the base frame, shape (4, 4).
+
+    LOG.yaml states this transform.
+    """
     if isinstance(frame.node, Scalar):
         frame.one_of({BASE: None})
         return np.eye(4)

@@ -1,8 +1,9 @@
-"""The detection of frozen streams, which repeat their values to the last bit although they have noise.
+"""Detect frozen streams.
 
-A recorder that lost its sensor repeats the last values, and so does a driver that hangs. A stream without
-noise, or with noise below its resolution, may also repeat them at rest. So the check applies only to a stream
-whose numbers rise and fall by more than their resolution, even while they hardly move.
+A frozen stream repeats its values bit for bit, although the sensor has noise. If a recorder loses its sensor
+or a driver hangs, the last values are repeated. Values are also repeated if the body is at rest and the noise
+is less than the resolution of the stream. The check therefore applies only to streams whose numbers fluctuate
+by more than their resolution even while the body hardly moves.
 """
 
 from __future__ import annotations
@@ -30,13 +31,18 @@ REPEATS, AT_REST = "repeats", "at rest"
 
 
 def at_rest(keys: Fields) -> bool:
-    """Return whether LOG.yaml states that repeated values come from a body at rest."""
+    """Return True if LOG.yaml states that repeated values come from a body at rest."""
     field = keys.optional(REPEATS)
     return field is not None and field.one_of({AT_REST: True})
 
 
 def noisy(blocks: Values) -> NDArray[np.bool_]:
-    """Return in which (b,) of ``blocks`` (b, BLOCK, k) the noise exceeds the motion and the resolution."""
+    """Return whether noise is visible in each of the ``blocks`` (b, BLOCK, k), shape (b,).
+
+    Noise is visible if it exceeds the motion within the block and the resolution of the numbers.
+    """
+    # Noise turns back at every other step, and a motion goes on, so the products of successive steps tell
+    # them apart.
     steps = np.diff(blocks, axis=1)
     size = np.abs(steps)
     least = np.where(size > 0.0, size, np.inf).min(axis=1)
@@ -47,17 +53,22 @@ def noisy(blocks: Values) -> NDArray[np.bool_]:
 
 
 def _is_frozen(row: int, repeated: int, blocks: int, samples: int) -> bool:
-    """Return whether ``row`` repetitions in a row, of ``repeated`` in all, are too many for chance.
+    """Return whether ``row`` successive repetitions are too many to be a coincidence.
 
-    The probability of one repetition is estimated from the samples that hardly move, without this row. These
-    are the other repetitions and the samples of noisy ``blocks``.
+    The stream has ``repeated`` repetitions in total. The probability of one repetition is estimated from
+    other samples at which the body hardly moves. These samples are the remaining repetitions, and the samples
+    in the noisy ``blocks``.
     """
     share = (repeated - row + 1) / (BLOCK * blocks + repeated - row + 1)
+    # Bonferroni over the samples: the row may begin at any of them.
     return row >= FEWEST and blocks >= NOISY_BLOCKS and samples * share**row < BY_CHANCE
 
 
 def frozen(values: Values) -> NDArray[np.bool_]:
-    """Return where (n,) ``values`` (n, k) repeat the previous sample too often for their noise."""
+    """Return which samples of ``values`` (n, k) are frozen, shape (n,).
+
+    A sample is frozen if it belongs to a series of repetitions that is too long for a sensor with noise.
+    """
     same, flags = np.zeros((2, len(values)), np.bool_)
     same[1:] = np.all(values[1:] == values[:-1], axis=1)
     whole = len(values) // BLOCK * BLOCK
@@ -70,9 +81,10 @@ def frozen(values: Values) -> NDArray[np.bool_]:
 
 
 def with_frozen(samples: LogSamples, things: Sequence[Values], keys: Fields) -> LogSamples:
-    """Return the samples with a mark and a note where any of ``things``, each (n, k), is frozen.
+    """Return the samples, with frozen samples marked and with a note about them.
 
-    If ``keys`` state that the body was at rest, there is only a note.
+    A sample is frozen if any of ``things`` (n, k) is frozen at this sample. If LOG.yaml states in ``keys``
+    that the body was at rest, the samples get the note without the marks.
     """
     flags = np.any([frozen(thing) for thing in things], axis=0)
     if not flags.any():
@@ -90,7 +102,7 @@ def with_frozen(samples: LogSamples, things: Sequence[Values], keys: Fields) -> 
 
 @dataclass
 class Repeats:
-    """The check of ``frozen`` for a live stream, one sample at a time."""
+    """A check like ``frozen`` for a live stream, which takes one sample at a time."""
 
     _block: list[tuple[float, ...]] = field(default_factory=list)
     _last: tuple[float, ...] = ()
@@ -102,9 +114,10 @@ class Repeats:
     _longest: tuple[int, int] = 0, 0  # the longest row that was not reported yet, and its begin
 
     def since(self, time_ns: int, values: tuple[float, ...]) -> int | None:
-        """Add ``values`` at ``time_ns``; return the time since which the stream is frozen, or None.
+        """Add ``values`` at ``time_ns``.
 
-        If the stream repeated values before its noise was known, the first call afterwards reports it once.
+        Return the time since which the stream is frozen, or None if it is not. The noise of a stream becomes
+        known only after some samples. A later call reports values that the stream repeated before that time.
         """
         self._samples += 1
         if values == self._last:

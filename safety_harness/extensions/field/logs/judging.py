@@ -1,4 +1,4 @@
-"""The log of a cell as a recorded run that commands and tests can judge."""
+"""Read the log of a cell as a recorded run, so that commands and tests can judge it."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ def recorded(path: str | Path, claims: Sequence[Claim] = ()) -> LoggedTrace:
 
     Args:
         path: The LOG.yaml.
-        claims: The claims that replace the log's own, unless there are none.
+        claims: The claims that replace the log's own claims. If empty, the log's own claims apply.
 
     Raises:
-        InputError: A part of the log cannot be used; the error has the place.
+        InputError: A part of the log cannot be used (the error states its place).
 
     """
     log = read_log(path)

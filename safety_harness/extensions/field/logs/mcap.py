@@ -1,6 +1,7 @@
-"""The reader of MCAP files with any profile but ROS 2's: their channels, and their messages as bytes.
+"""Read MCAP files of any profile except ROS 2's.
 
-It reads the parts of a file with functions of ``rosbags``.
+The reader returns the channels, and the messages as undecoded bytes. It uses functions of the package
+``rosbags`` to read the parts of a file.
 """
 
 from __future__ import annotations
@@ -13,12 +14,16 @@ from struct import unpack
 from typing import Any, BinaryIO
 
 MAGIC = b"\x89MCAP0\r\n"
+# Opcodes of records in the MCAP format.
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
 FORMATS = {"ros2msg": "MSG", "ros1msg": "MSG", "ros2idl": "IDL", "omgidl": "IDL"}
 
 
 class McapFile:
-    """A reader with the interface of ``rosbags``: ``messages``, and ``connections`` after ``open``."""
+    """A reader with the same interface as the readers of ``rosbags``.
+
+    The list ``connections`` is complete only after a call of ``open``.
+    """
 
     def __init__(self, file: Path) -> None:
         self._file = file
@@ -75,7 +80,7 @@ class McapFile:
                     yield wanted[number], received_ns, record.read()
 
     def _records(self) -> Iterator[tuple[int, BinaryIO]]:
-        """Yield the kind and body of each record, including the records in chunks."""
+        """Yield the kind and the content of each record, including the records inside chunks."""
         from rosbags.rosbag2.storage_mcap import decompress, read_exact, read_sized, read_string
 
         self._data.seek(len(MAGIC))

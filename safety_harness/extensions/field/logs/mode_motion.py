@@ -1,4 +1,4 @@
-"""The check of the mode that a controller reports against the motion of the arm."""
+"""Check the mode that a controller reports against the motion of the arm."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ RETREATED_M = 0.01  # least way of a retreat from the desired position; braking 
 def refuse_retreat_while_servoing(trace: Trace, log: CellLog) -> None:
     """Raise LogError where the arm retreats from a near hand while its reported mode is servoing.
 
-    The check applies only if a claim is about the desired pose, and so assumes that the arm approaches this
+    The check assumes that the arm approaches the desired pose, so it applies only if a claim is about this
     pose. Servoing brings the TCP nearer to the desired position. The arm retreats if the TCP certainly moves
-    away from this position, and from a hand at about the critical distance.
+    away from this position, and also away from a hand at about the critical distance.
     """
     known, ticks, stream = trace.known, trace.ticks, log.told.mode
     aims = any(entry.understands(claim.sentence) for claim in trace.scenario.claims for entry in OF_THE_GOAL)

@@ -1,4 +1,4 @@
-"""The log of a real cell as data: its recordings, its clocks, and its owner's statements."""
+"""Define the data of a real cell's log: recordings, clocks, and statements of the cell's owner."""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ JOINTS_LONGEST_GAP_S = 0.1  # without a statement in LOG.yaml
 
 @dataclass(frozen=True, kw_only=True)
 class JointFacts:
-    """The statements of LOG.yaml on the joints, with None for no statement.
+    """The statements about the joints in LOG.yaml.
 
-    ``move_at_most_radps`` is of shape (joints,). ``at_rest`` is true if values that repeat to the last bit
-    come from a joint that stands still.
+    A value of None means that LOG.yaml does not make this statement. ``move_at_most_radps`` (joints,) has the
+    largest speed of each joint. ``at_rest`` is True if LOG.yaml states that repeated values come from a joint
+    at rest.
     """
 
     known_to_rad: float
@@ -35,7 +36,10 @@ class JointFacts:
 
 @dataclass(frozen=True, kw_only=True)
 class HandFacts:
-    """The statements of LOG.yaml on hands; ``known_to_m`` is inf if each sample has its own uncertainty."""
+    """The statements about hands in LOG.yaml.
+
+    ``known_to_m`` is infinite if the log states the uncertainty of each sample separately.
+    """
 
     known_to_m: float
     moves_at_most_mps: float
@@ -45,10 +49,10 @@ class HandFacts:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """One hand: its own samples, and its elbow's samples if the log has them.
+    """The samples of one hand, and the samples of the elbow if the log has them.
 
-    Positions (n, 3) are in the base frame, times on the clock of the hands. ``forearm`` is False for a hand
-    without a forearm, whose verdicts concern the hand alone.
+    Positions (n, 3) are in the base frame, and times are on the clock of the hands. If ``forearm`` is False,
+    there is no forearm, and verdicts concern only the hand.
     """
 
     name: str
@@ -59,10 +63,11 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class TcpCheck:
-    """The result of the check of the log's own TCP ``samples`` against the TCP that the joints determine.
+    """The comparison of the TCP positions in the log (``samples``) with the positions that the joints imply.
 
-    Both are at most ``apart_m`` apart, where ``within_m`` is allowed. The check cannot detect a wrong zero
-    position of the ``unseen`` joints. ``unit`` is true if the check would detect a wrong unit of angles.
+    The two positions differ by at most ``apart_m``; the tolerance is ``within_m``. If a joint in ``unseen``
+    has a wrong zero position, the check cannot detect the error. ``unit`` is true if the check would detect a
+    wrong unit of angles.
     """
 
     samples: LogSamples
@@ -74,27 +79,27 @@ class TcpCheck:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CellLog:
-    """The content of a log: its data, and the statements of its LOG.yaml.
+    """The content of a log: its data, and the statements in its LOG.yaml.
 
     Args:
         name: The name of the log.
-        file: The LOG.yaml, None if it is not a file.
-        said: The file's tree, with the keys of a scenario, which the code for the trace reads.
+        file: The LOG.yaml, or None if the log comes from no file.
+        said: The tree of LOG.yaml. It includes the keys of a scenario, which are read when the trace is made.
         robot: The arm.
         joints: Values (n, 2 j), positions and then velocities of the arm's joints [rad, rad/s], NaN for a
             missing value. Their clock is the reference.
-        joint_facts: The statements on the joints.
+        joint_facts: The statements about the joints.
         hands: The hands.
-        hand_facts: The statements on the hands, None without hands.
+        hand_facts: The statements about the hands, or None if the log has no hands.
         hands_ahead_ns: The lead of the hands' clock over the joints' clock.
         clock_known_to_s: The uncertainty of that lead.
         period_ns: The period of the trace's ticks.
         files: All files that were read.
         told: The controller's own reports.
-        left_out: Other bodies in the hands' streams that LOG.yaml leaves out.
-        unmapped: Other bodies in the hands' streams that LOG.yaml does not mention; some may be hands.
-        tcp: The check of the log's own TCP, None without one.
-        unused: The columns, topics and joints in the files that the reader does not use.
+        left_out: Other bodies in the hands' streams, which LOG.yaml excludes.
+        unmapped: Other bodies in the hands' streams, which LOG.yaml does not mention and which may be hands.
+        tcp: The check of the log's own TCP, or None if the log has no TCP.
+        unused: The unused columns, topics and joints of the files.
 
     """
 
@@ -118,7 +123,7 @@ class CellLog:
 
     @property
     def origin_ns(self) -> int:
-        """The beginning of the trace on the joints' clock, which is the time of the joints' first sample."""
+        """The time on the joints' clock at which the trace begins, that is, at the joints' first sample."""
         return int(self.joints.time_ns[0])
 
     @property
@@ -132,7 +137,7 @@ class CellLog:
         return self.period_ns / NS
 
     def seconds(self, samples: LogSamples, *, of_hands: bool = False) -> NDArray[np.float64]:
-        """Return (n,) the times of samples since the trace begins [s].
+        """Return the times of the samples relative to the beginning of the trace, shape (n,) [s].
 
         Args:
             samples: The samples.

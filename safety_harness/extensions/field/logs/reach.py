@@ -1,7 +1,8 @@
-"""Bounds on how far a body or joint is from the line between its samples (docs/explanation/verdicts.md).
+"""Compute bounds on the distance of a body or joint from the straight line between two samples.
 
-The functions take the samples of one body, or of the arm's joints, on the trace's clock. The bound at a tick
-holds from the tick before it to the tick after it.
+The page docs/explanation/verdicts.md derives these bounds. The functions process the samples of one body or
+of the arm's joints. The times of the samples are on the clock of the trace. The bound at a tick applies from
+the previous tick to the next tick.
 """
 
 from __future__ import annotations
@@ -22,26 +23,35 @@ ROUNDING_M = 1e-5  # the rounding of stored paths, whose units are micrometres a
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """The bound ``within`` (n,) at each tick, which holds up to both neighbours; 0 in unknown ``gaps``."""
+    """The bound ``within`` (n,) at each tick.
+
+    A bound applies from the previous tick to the next tick. In the ``gaps`` the bound is unknown, and
+    ``within`` is 0.
+    """
 
     within: Floats
     gaps: tuple[tuple[int, int], ...]
 
     def known_gaps(self, hand: int | None = None) -> tuple[Gap, ...]:
-        """Return the gaps as a trace states them, for ``hand`` or for all."""
+        """Return the gaps in the form that a trace uses.
+
+        The gaps concern the hand with index ``hand``, or all hands if ``hand`` is None.
+        """
         return tuple(Gap(first=first, after=end, hand=hand) for first, end in self.gaps)
 
 
 def body_off_m(way_m: Floats, step_s: Floats, *, most_mps: float, sample_m: Floats | float) -> Floats:
-    """Return how far (m,) a body may be from the lines between its samples.
+    """Return the largest possible distance of a body from each line between two samples, shape (m,).
 
-    Successive samples are ``way_m`` (m,) and ``step_s`` (m,) apart.
+    For each pair of successive samples, ``way_m`` (m,) is the distance, and ``step_s`` (m,) is the time
+    between them.
 
-    Let x and y be the true places at two samples, T the time between them, and v the largest speed, so
-    |x - y| <= v T. After the fraction w of T, the body is within v w T of x and within v (1 - w) T of y. So
-    it is off the point at w on the line from x to y by at most (w (1 - w) (v^2 T^2 - |x - y|^2))^(1/2).
-    This is largest for w = 1/2. The line from x to y is within ``sample_m`` (m,) of the line between the
-    samples. |x - y| is at least ``way_m`` - 2 ``sample_m``.
+    Let x and y be the true places at two samples, T the time between them, and v the largest speed, so |x -
+    y| <= v T. After the fraction w of T, the body is within v w T of x and within v (1 - w) T of y. So the
+    body's distance from the point at w on the line from x to y is at most (w (1 - w) (v^2 T^2 - |x -
+    y|^2))^(1/2). This is largest for w = 1/2. A sample has an error of at most ``sample_m`` (m,). So the line
+    from x to y deviates by at most this error from the line between the samples, and |x - y| is at least
+    ``way_m`` - 2 ``sample_m``.
     """
     true_m = np.maximum(way_m - 2.0 * sample_m, 0.0)
     slack2 = np.maximum((most_mps * step_s) ** 2 - true_m**2, 0.0)
@@ -51,13 +61,14 @@ def body_off_m(way_m: Floats, step_s: Floats, *, most_mps: float, sample_m: Floa
 def joint_off_rad(
     slope: Floats, step_s: Floats | float, *, most: Floats, hardest: float | None, sample_rad: float
 ) -> Floats:
-    """Return how far (m,) joints may be from the lines between samples, as the largest value of all joints.
+    """Return the largest possible deviation of any joint from the line between two samples, shape (m,).
 
-    ``slope`` (m, j) are the mean speeds s, ``step_s`` (m,) the times T, ``most`` (j,) the largest speeds v.
+    Let s be the mean speeds ``slope`` (m, j), T the times ``step_s`` (m,), and v the largest speeds ``most``
+    (j,).
 
-    If a = ``hardest`` bounds the acceleration, the distance is at most a T^2/8. Otherwise it is at most
-    T (v^2 - s^2)/(2 v), if the joint turns as fast as possible in one direction, then back. Both bounds grow
-    by ``sample_rad``.
+    If a = ``hardest`` bounds the acceleration, the distance is at most a T^2/8. Otherwise it is at most T
+    (v^2 - s^2)/(2 v), which is reached if the joint turns at full speed in one direction and then back. The
+    function adds the error of a sample, ``sample_rad``, to the bound.
     """
     if hardest is not None:
         return np.asarray(hardest * step_s**2 / 8.0 + sample_rad)
@@ -68,13 +79,14 @@ def joint_off_rad(
 def rate_off(
     slope: Floats, step_s: Floats | float, *, most: Floats, hardest: float | None, sample: float
 ) -> Floats:
-    """Return how far (m,) a joint's speed may be from its mean between samples; largest value of all joints.
+    """Return by how much a joint's speed may differ from its mean between samples, shape (m,).
 
-    ``slope`` (m, j) are the mean speeds s, ``step_s`` (m,) the times T, ``most`` (j,) the largest speeds v.
+    The result is the largest value of all joints. Let s be the mean speeds ``slope`` (m, j), T the times
+    ``step_s`` (m,), and v the largest speeds ``most`` (j,).
 
-    If a = ``hardest`` bounds the acceleration, the difference is at most a T/2, since at worst the speed
-    changes evenly about its mean. Otherwise it is at most |s| + v. Both samples may be off by ``sample``,
-    which adds 2 ``sample`` / T.
+    If a = ``hardest`` bounds the acceleration, the difference is at most a T/2; it is largest if the speed
+    changes uniformly. Otherwise it is at most |s| + v. Each sample may be off by ``sample``, which adds 2
+    ``sample`` / T.
     """
     off_by = 2.0 * sample / step_s
     if hardest is not None:
@@ -91,20 +103,22 @@ def over_ticks(
     count: int,
     frozen: NDArray[np.bool_] | None = None,
 ) -> Reach:
-    """Return the bounds at ticks from bounds between samples.
+    """Convert bounds for the intervals between samples to bounds at ticks.
 
-    A tick has the largest bound of all intervals that touch the period before or after it. An interval is
-    lost if it is longer than ``longest_ns`` or ends at a ``frozen`` sample. The ticks within a lost interval
-    are lost, since a lost tick also means that the motion to the next tick is unknown. If a lost interval
-    contains no tick, the tick before it is lost. So is a tick with a sample between two lost intervals.
+    The bound at a tick is the largest bound of all intervals that overlap the period before or after it. An
+    interval is lost, that is, without a bound, if it is longer than ``longest_ns`` or ends at a ``frozen``
+    sample. The ticks within a lost interval are lost, because the motion from a lost tick to the next one is
+    unknown too. If a lost interval contains no tick, the tick before the interval is lost. A tick is also
+    lost if it coincides with a sample between two lost intervals.
 
     Args:
         time_ns: The times (m + 1,) of the samples since tick 0.
-        off_by: The bounds (m,) between samples.
+        off_by: The bounds (m,) for the intervals between samples.
         longest_ns: The longest allowed gap.
         period_ns: The period of the ticks.
         count: The number of ticks.
-        frozen: (m + 1,) true for a sample that repeats the previous one, or None if no sample does.
+        frozen: (m + 1,) true for each sample that is frozen and repeats the previous sample. None if there is
+            no such sample.
 
     """
     reached, bounded, lost = np.zeros(count), np.zeros(count, np.bool_), np.zeros(count, np.bool_)
@@ -114,6 +128,7 @@ def over_ticks(
         known &= ~frozen[1:]
     first = np.maximum(begin // period_ns, 0)  # the tick at or before its beginning
     last = np.minimum(-(-end // period_ns), count - 1)  # and at or after its end
+    # Most intervals overlap few ticks, so a loop over the ticks of an interval handles all intervals at once.
     spread = last - first
     for step in range(int(spread[known].max(initial=-1)) + 1):
         some = known & (spread >= step)
@@ -122,6 +137,7 @@ def over_ticks(
     last_before, first_after = begin[~known] // period_ns, -(-end[~known] // period_ns)
     for left, right in zip(last_before.tolist(), first_after.tolist(), strict=True):
         lost[max(left + (right - left > 1), 0) : max(right, 0)] = True
+    # A tick that coincides with a sample is known from the sample, unless both intervals beside it are lost.
     ends, rest = np.divmod(np.concatenate([begin[~known], end[~known]]), period_ns)
     ends = ends[(rest == 0) & (ends >= 0) & (ends < count)]
     lost[ends[~bounded[ends]]] = True
@@ -130,14 +146,15 @@ def over_ticks(
 
 
 def known_beyond_ns(longest_ns: int) -> int:
-    """Return the time before the first and after the last sample for which a body is still known."""
+    """Return how long a body's position is known before its first sample and after its last sample."""
     return longest_ns // 2
 
 
 def beyond_end(away_ns: FloatOrFloats, *, most: float, sample: float, period_ns: int) -> FloatOrFloats:
-    """Return how far a body may be from its first or last sample at ticks that are ``away_ns`` from it.
+    """Return the largest possible distance of a body from its first or last sample.
 
-    The bound at a tick also covers one more ``period_ns``, since it holds up to the next tick.
+    ``away_ns`` is the time between this sample and the tick. The bound also covers one more ``period_ns``,
+    because it must apply up to the next tick.
     """
     return most * (away_ns + period_ns) / 1e9 + sample
 
@@ -145,7 +162,7 @@ def beyond_end(away_ns: FloatOrFloats, *, most: float, sample: float, period_ns:
 def from_ends(
     reach: Reach, first_ns: int, last_ns: int, *, most: float, sample: float, longest_ns: int, period_ns: int
 ) -> Reach:
-    """Return ``reach`` with bounds up to half the longest gap before the first and after the last sample.
+    """Return ``reach`` extended beyond the first and the last sample, by half the longest gap on each side.
 
     Ticks farther away become gaps.
     """

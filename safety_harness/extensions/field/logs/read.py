@@ -1,7 +1,8 @@
-"""The reader of LOG.yaml, which states the streams, their clocks, frames and units, and their uncertainties.
+"""Read LOG.yaml.
 
-LOG.yaml also has keys of a scenario (robot, settings, obstacles, claims). The code that makes the trace reads
-these keys as in a scenario.
+LOG.yaml lists the streams of a log, and states the clock, the frame, the unit and the uncertainty of each
+stream. LOG.yaml also has keys of a scenario (robot, settings, obstacles, claims). The code that makes the
+trace reads these keys in the same way as a scenario's keys.
 """
 
 from __future__ import annotations
@@ -107,10 +108,10 @@ def read_log(path: str | Path, *, align: bool = False) -> CellLog:
 
     Args:
         path: The LOG.yaml.
-        align: True to read the hands at all times, without a stated clock.
+        align: True to read the hands at all times, even if LOG.yaml states no clock.
 
     Raises:
-        InputError: A part of the file cannot be used; the error has the place.
+        InputError: A part of the file cannot be used (the error states its place).
 
     """
     file = Path(path)
@@ -118,7 +119,7 @@ def read_log(path: str | Path, *, align: bool = False) -> CellLog:
 
 
 def said_in(file: Path) -> Field:
-    """Return the unchecked tree of a LOG.yaml; raise LogError if ``file`` is of another kind."""
+    """Return the tree of a LOG.yaml without checks; raise LogError if ``file`` is a file of another kind."""
     refuse_other_kind(file, FileKind.LOG, error=LogError)
     data = read_bytes(file, most=MAX_BYTES, place=Place(file=file), error=LogError)
     text = decode(data, most=MAX_BYTES, file=file, error=LogError)
@@ -191,7 +192,7 @@ def log_of(tree: Field, *, name: str, align: bool = False) -> CellLog:
 
 @dataclass
 class _Reading:
-    """A reader of the streams that LOG.yaml names, which reads the joints first."""
+    """A reader of the streams that LOG.yaml lists; it reads the joints before the other streams."""
 
     given: Fields
     streams: Fields
@@ -234,7 +235,10 @@ class _Reading:
         return joints_checked(with_frozen(samples, [*samples.values.T[: len(names), :, None]], keys), names)
 
     def with_facts(self, joints: LogSamples) -> tuple[LogSamples, JointFacts]:
-        """Check the joints against the facts in LOG.yaml; return the joints, without wraps, and the facts."""
+        """Check the joints against the statements in LOG.yaml, and return the joints and the statements.
+
+        The returned joints have no wraps.
+        """
         facts = facts_of_joints(said_of_joints(self.given), self.arm)
         joints = noted_beyond_ends(the_short_way(joints, facts, self.arm), self.arm)
         refuse_jumping_joints(joints, facts, self.arm.joint_names)
@@ -252,7 +256,7 @@ class _Reading:
         """Return the hands.
 
         Args:
-            joints: The joints, for the window of time.
+            joints: The joints, whose times determine the window.
             of_hands: The keys below "hands".
             ahead_ns: The lead of the hands' clock.
             slack_ns: The time before and after the joints for which hands are read. None: all times.
@@ -288,11 +292,15 @@ class _Reading:
             else:
                 elbow = self._positions(own, of_hands, window, bound=bound)
             result.append(Body(name, hand, elbow, there))
+        # A stream that is named twice would make one body look like two.
         refuse_the_same([item for body in result for item in (body.hand, body.elbow) if item is not None])
         return tuple(result)
 
     def tcp(self, joints: LogSamples, facts: JointFacts, robot: AnyRobot) -> TcpCheck | None:
-        """Return the check of the log's own TCP, on the clock of the joints; None if the log has none."""
+        """Check the TCP positions in the log, and return the result, or None if the log has no TCP positions.
+
+        Their times must be on the clock of the joints.
+        """
         if TCP not in self.streams:
             if TCP in self.given:
                 hint = "log: {tcp: FILE#TRACK}"
@@ -306,7 +314,10 @@ class _Reading:
         return checked_tcp(samples, known_to_m, joints, facts, robot)
 
     def unused(self, bodies: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the columns, topics and joints that no key uses, except ``bodies``, which have own notes."""
+        """Return the columns, topics and joints that no key uses and that do not belong to ``bodies``.
+
+        Other notes list ``bodies``.
+        """
         seen, used = (
             {f"{item.file.name}#{name}" for item in self.sources for name in (item.seen, item.used)[k]}
             for k in range(2)
@@ -341,7 +352,10 @@ class _Reading:
         bound: SampleBound | None = None,
         speeds: Fields | None = None,
     ) -> LogSamples:
-        """Return the positions of a body in the base frame; with ``keep`` also samples without a position."""
+        """Return the positions of a body in the base frame.
+
+        If ``keep`` is True, the result includes samples without a position.
+        """
         source = self._source(field)
         width = 3 + (bound is not None) + 3 * (speeds is not None)
         collector = Collector(source, width, *window, least=2 - keep, unstamped_before=self._chooses_begin)
@@ -410,15 +424,15 @@ class _Reading:
         return replace(samples, values=product(samples.values, transform[:3, :3].T) + transform[:3, 3])
 
     def _saw(self, source: LogSource, mapped: str, bodies: set[str]) -> None:
-        """Record that a stream uses the body ``mapped``, and that its messages or columns show ``bodies``."""
+        """Record that LOG.yaml uses the body ``mapped``, and that the stream contains ``bodies``."""
         links = {f"/tf:{name}" for name in self.arm.link_names}
         self.mapped.add(f"{source.file.name}#{mapped}")
         self.bodies_seen |= {f"{source.file.name}#{body}" for body in bodies - links}
 
     def neither(self, of_hands: Fields, bodies: tuple[Body, ...]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Return the unmapped bodies that LOG.yaml leaves out, and those that it does not mention.
+        """Return the unmapped bodies that LOG.yaml excludes, then those that it does not mention.
 
-        Elbows count as left out if LOG.yaml states that a forearm is not measured.
+        Elbows are excluded if LOG.yaml states that a forearm is not measured.
         """
         beside, field = sorted(self.bodies_seen - self.mapped), of_hands.optional("left out")
         items = () if field is None else field.items("streams that no hand is in, such as hands.csv#marker")
@@ -444,7 +458,7 @@ class _Reading:
         return self._given(source, frame)
 
     def _given(self, source: LogSource, frame: Field) -> ToBase:
-        """Return the transform from the stated frame, which no header may contradict."""
+        """Return the transform from the frame in LOG.yaml; a header with another frame is an error."""
         base = self.arm.link_names[0] if np.array_equal(self.arm.transform_seat, np.eye(4)) else BASE
         return by_given(given_transform(frame), frame_name(frame, base), base, source)
 
@@ -455,7 +469,7 @@ class _Reading:
 
     @property
     def _chooses_begin(self) -> bool:
-        """Return whether LOG.yaml chooses the beginning of the log."""
+        """Return True if LOG.yaml states where the log begins."""
         return "from" in self.streams
 
     def _seconds(self, key: str) -> float | None:
@@ -480,7 +494,10 @@ def _names(field: Field | None, arm: ArmModel) -> tuple[str, ...]:
 
 
 def _period_ns(streams: Fields, joints: LogSamples) -> int:
-    """Return the period [ns] in LOG.yaml, or else the joints' median interval, rounded to 0.1 ms."""
+    """Return the period of the trace's ticks [ns].
+
+    If LOG.yaml states no period, it is the median interval of the joints' samples, rounded to 0.1 ms.
+    """
     field = streams.optional("period")
     if field is not None:
         return round(field.quantity(TIME, least=SHORTEST_PERIOD_NS / NS, most=LONGEST_PERIOD_NS / NS) * NS)
@@ -490,7 +507,7 @@ def _period_ns(streams: Fields, joints: LogSamples) -> int:
 
 
 def _is_of_rtde(keys: Fields, source: LogSource) -> bool:
-    """Return whether ``source`` is a table of UR's recorder; raise LogError if it is stated for a bag."""
+    """Return whether ``source`` is a table of UR's recorder; raise LogError if it is a bag instead."""
     field = keys.optional(FORMAT)
     if field is not None and field.one_of({"rtde": True}) and source.is_bag:
         raise field.error("a table of the UR recorder", got=source.name)
@@ -506,6 +523,6 @@ def _time_text(field: Field | None) -> str | None:
 
 
 def _time(keys: Fields) -> str:
-    """Return which times of a bag's messages are used: their stamps, or their times of receipt."""
+    """Return the kind of time to use for the messages of a bag: STAMP or RECEIVED."""
     field = keys.optional("time")
     return STAMP if field is None else field.one_of({clock: clock for clock in (STAMP, RECEIVED)})

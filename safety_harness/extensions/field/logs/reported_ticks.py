@@ -1,7 +1,8 @@
-"""The controller's reports at the ticks of a trace, each of which is valid until the next report.
+"""Put the controller's reports onto the ticks of a trace; each report is valid until the next report.
 
-Because stamps are uncertain, several reports may be valid at a tick. The uncertainty of a number covers all
-these reports. A value that is no number has a gap where these reports differ.
+Because stamps are uncertain, a tick may have several possible reports. The uncertainty of a number covers all
+these reports. A field without numbers, such as the mode, has a gap at a tick if its value differs between the
+possible reports.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ NEAREST, TCP = "predicted_distance_m", "transform_tcp_to_base"
 
 
 def with_reports(trace: Trace, log: CellLog, columns: dict[str, Measurement]) -> Trace:
-    """Return ``trace`` with the reports, and add the accuracy of the reports to ``columns``.
+    """Return ``trace`` with the reports, and add their uncertainty and gaps to ``columns``.
 
     ``trace`` must already have the TCP and the hands.
     """
@@ -56,6 +57,7 @@ def with_reports(trace: Trace, log: CellLog, columns: dict[str, Measurement]) ->
     decisions = trace.decisions
     if reports.decisions is not None:
         decisions = _decided(trace, log, reports, reports.decisions, ticks, columns)
+    # Logs do not report how long the decisions took.
     latency_s = np.full(len(decisions), np.nan)
     trace = replace(trace, ticks=ticks, decisions=decisions, decision_latency_s=latency_s)
     return knowing(trace, columns)
@@ -63,9 +65,10 @@ def with_reports(trace: Trace, log: CellLog, columns: dict[str, Measurement]) ->
 
 @dataclass(frozen=True, eq=False)
 class _Standing:
-    """For each tick (n,): the valid report ``at`` it, and the ``first`` and ``last`` that may be valid.
+    """The indices of the reports at n ticks, as arrays (n,).
 
-    ``known`` is false where no report is valid.
+    ``at`` is the valid report at a tick. The possible reports are those from ``first`` to ``last``. ``known``
+    is false where no report is valid.
     """
 
     at: NDArray[np.int64]
@@ -74,15 +77,17 @@ class _Standing:
     known: Truths
 
     def same(self, values: Floats) -> Truths:
-        """Return the ticks (n,) at which all reports that may be valid have the same ``values`` (k, c)."""
+        """Return whether all possible reports at a tick have the same ``values`` (k, c), shape (n,)."""
+        # Two reports without a number are the same report, although NaN differs from NaN.
         changes = (np.diff(values, axis=0) != 0.0) & ~(np.isnan(values[1:]) & np.isnan(values[:-1]))
         kept = np.concatenate([[0], np.cumsum(changes.any(axis=1))])
         return np.asarray(self.known & (kept[self.first] == kept[self.last]))
 
     def off_by(self, values: Floats, *, each: bool = False) -> Floats:
-        """Return how far (n,) the reports that may be valid at a tick are from the report ``at`` the tick.
+        """Return the largest distance of a possible report from the valid report at each tick, shape (n,).
 
-        This is a Euclidean distance, or with ``each`` the largest difference of a single number.
+        The distance is Euclidean. If ``each`` is True, the largest difference of a single number is used
+        instead.
         """
         farthest = np.zeros(len(self.at))
         for step in range(int((self.last - self.first).max(initial=0)) + 1):
@@ -92,7 +97,7 @@ class _Standing:
         return farthest
 
     def gaps(self, known: Truths) -> tuple[Gap, ...]:
-        """Return the gaps where ``known`` (n,) is false."""
+        """Return a gap for each series of successive ticks at which ``known`` (n,) is False."""
         return tuple(Gap(first=int(a), after=int(b)) for a, b in zip(*runs_of(~known), strict=True))
 
     def either_gaps(self, codes: Floats) -> tuple[Gap, ...]:
@@ -108,7 +113,8 @@ class _Standing:
 def _standing(stream: ReportedStream, log: CellLog, *, passed_too: bool = False) -> _Standing:
     """Return the reports that are valid at the ticks.
 
-    With ``passed_too``, the possible reports include those that came and went since the previous tick.
+    If ``passed_too`` is True, the possible reports at a tick include reports that were valid only between the
+    previous tick and this tick.
     """
     tick_ns = np.arange(log.ticks, dtype=np.int64) * log.period_ns + log.origin_ns
 
@@ -127,7 +133,7 @@ def _standing(stream: ReportedStream, log: CellLog, *, passed_too: bool = False)
 
 
 def _track(trace: Trace, log: CellLog, ticks: NDArray[np.void], columns: dict[str, Measurement]) -> None:
-    """Add the reported hands, one per track, and the distance from the TCP to the nearest of them."""
+    """Add the reported hands to ``ticks``, and the distance from the TCP to the nearest reported hand."""
     most = ticks["track_valid"].shape[1]
     if len(log.told.tracks) > most:
         field = log.said.fields(tuple(key for key, _ in log.said.entries("a log"))).required("log")
@@ -159,8 +165,12 @@ def _decided(
     ticks: NDArray[np.void],
     columns: dict[str, Measurement],
 ) -> NDArray[np.void]:
-    """Return the decisions, each at the tick nearest to its stamp; raise LogError for two at one tick."""
+    """Return the decisions, each assigned to the tick that is nearest to the decision's stamp.
+
+    Raise LogError if two decisions would be assigned to the same tick.
+    """
     since_ns = stream.time_ns - log.origin_ns
+    # The nearest tick: a stamp may be half a period off, which ``_moved`` adds to the uncertainty.
     number = (since_ns + log.period_ns // 2) // log.period_ns
     inside = np.flatnonzero((number >= 0) & (number < log.ticks))
     for item in np.flatnonzero(np.diff(number[inside]) < 1)[:1].tolist():
@@ -198,6 +208,7 @@ def _decided(
     ticks["decision"] = -1
     ticks["decision"][tick] = np.arange(len(tick))
     unsure = np.zeros(log.ticks, np.bool_)
+    # With such uncertain stamps, a decision may belong to a neighbouring tick.
     if 2 * stream.off_ns > log.period_ns:
         for begin, end in zip(
             since_ns[inside] - stream.off_ns, since_ns[inside] + stream.off_ns, strict=True
@@ -209,7 +220,11 @@ def _decided(
 
 
 def _moved(ticks: NDArray[np.void], column: str) -> float:
-    """Return the largest motion of joints or TCP in a tick, as a decision's stamp may be half a tick off."""
+    """Return the largest motion of the joints or of the TCP from one tick to the next.
+
+    A decision's stamp may differ by half a period from its tick, and the result bounds the error due to this
+    difference.
+    """
     values = ticks[column] if column != TCP else ticks[column][:, :3, 3]
     steps = np.linalg.norm(np.diff(values, axis=0), axis=1)
     return float(np.nanmax(steps, initial=0.0))

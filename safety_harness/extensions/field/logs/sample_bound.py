@@ -18,18 +18,19 @@ COVARIANCES = (9, 36)  # counts of numbers in the covariance of a position, or o
 
 @dataclass(frozen=True)
 class SampleBound:
-    """The ``field`` with the uncertainty of each sample; the error is at most ``times`` the uncertainty."""
+    """The bound of a sample's error: the uncertainty in the stream's ``field``, multiplied by ``times``."""
 
     field: str
     times: float | None
     said: Field
 
     def reach_m(self, numbers: Sequence[float]) -> float:
-        """Return the largest error of a sample, from the ``numbers`` of its field; NaN if it is unknown.
+        """Return the largest error of a sample, from the ``numbers`` of its field, or NaN if it is unknown.
 
-        The numbers are a radius, half the sides of a box, or a covariance. The error is ``times`` the radius,
-        the distance to the box's corner, or the covariance's largest standard deviation. A covariance of
-        zeros means unknown. Raise LogError for another count of numbers.
+        The numbers are a radius, half the sides of a box, or a covariance. The largest error is ``times``
+        multiplied by the radius, by the distance to the box's corner, or by the covariance's largest standard
+        deviation. A covariance of zeros means an unknown error. Raise LogError if the field contains any
+        other number of values.
         """
         values = np.array(numbers, np.float64)
         if len(values) in COVARIANCES:
@@ -50,7 +51,7 @@ class SampleBound:
 
 
 def sample_bound(known: Field) -> SampleBound:
-    """Return the bound from ``{field: NAME, times: 4}``; raise LogError with the place for invalid values."""
+    """Return the bound from ``{field: NAME, times: 4}``; raise LogError if a value is invalid."""
     given = known.fields(KEYS)
     times = given.optional("times")
     return SampleBound(

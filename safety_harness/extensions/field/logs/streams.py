@@ -1,16 +1,16 @@
-"""The streams of a log: the part of a file that each stream is, and its samples with their places.
+"""Define the streams of a log. A stream is a part of a file, with samples and their places in the file.
 
-LOG.yaml names a stream as ``FILE`` or ``FILE#WHAT``. In a table (CSV, Parquet), WHAT is the beginning of the
-columns' names. In a bag (MCAP, ROS) WHAT is a topic such as ``/poses``. ``[2]`` after it selects one of
-several poses, and ``:path`` a field of the messages. Times are nanoseconds on the stream's own clock. The
-reader does not sort, drop or repair samples.
+LOG.yaml refers to a stream as ``FILE`` or ``FILE#WHAT``. In a table (CSV, Parquet), WHAT is the text with
+which the columns' names begin. In a bag (MCAP, ROS) WHAT is a topic such as ``/poses``. After the topic,
+``[2]`` selects one of several poses, and ``:path`` selects a field of the messages. Times are nanoseconds on
+the stream's own clock. The reader does not sort, drop or repair samples.
 """
 
 from __future__ import annotations
 
 import re
 from array import array
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from math import inf
 from pathlib import Path
@@ -31,11 +31,21 @@ _TOPIC = re.compile(r"(?P<topic>/[^\[\]:]*)(?:\[(?P<index>[0-9]{1,4})\])?(?::(?P
 TABLES, BAGS = (".csv", ".parquet"), (".mcap", ".db3", ".bag")
 
 
+def strides(count: int) -> Iterator[int]:
+    """Yield 1, 2, 4 and so on below ``count``: the distances of samples that a check compares."""
+    apart = 1
+    while apart < count:
+        yield apart
+        apart *= 2
+
+
 @dataclass(frozen=True)
 class LogSource:
-    """The file of a stream and its part ``what`` of the file, as stated at ``place`` in LOG.yaml.
+    """A stream in a file.
 
-    ``seen`` are the columns, topics and joints in the file, and ``used`` are those that the reader used.
+    ``what`` specifies the part of the file, and ``place`` is the place in LOG.yaml that refers to the stream.
+    ``seen`` lists all columns, topics and joints in the file, and ``used`` lists only those that the reader
+    used.
     """
 
     file: Path
@@ -59,7 +69,7 @@ class LogSource:
 
     @property
     def is_bag(self) -> bool:
-        """Return whether the file is an MCAP file or a ROS bag, and not a table."""
+        """Return True if the file is an MCAP file or a ROS bag, and False if it is a table."""
         return bool(self.topic)
 
     @property
@@ -69,14 +79,14 @@ class LogSource:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The file of the stream, or all files if it is a folder."""
+        """The file of the stream, or all files in it if it is a folder."""
         if self.file.is_dir():
             return tuple(sorted(file for file in self.file.iterdir() if file.is_file()))
         return (self.file,)
 
 
 def read_source(stream: Field) -> LogSource:
-    """Return the stream that a text names; raise LogError if its file is missing or of an unknown kind."""
+    """Return the stream that a text describes; raise LogError for a missing file or an unknown kind."""
     text = stream.scalar("a stream: FILE.csv, FILE.parquet#right_hand or FILE.mcap#/topic").strip()
     parent = stream.file.parent if stream.file else Path()
     ends = [at for at, letter in enumerate(text) if letter == "#"]
@@ -124,7 +134,7 @@ class LogSamples:
         frozen: (n,) true where a sample repeats the previous one although the stream has noise, or None if
             no sample does.
         notes: Notes on omitted parts.
-        span_ns: First and last time of the whole stream, beyond the window too.
+        span_ns: The first and the last time in the stream, even if they are outside the window.
 
     """
 
@@ -139,16 +149,16 @@ class LogSamples:
     span_ns: tuple[int, int] | None = None  # of the whole stream, beyond the window too
 
     def noted(self, note: str) -> LogSamples:
-        """Return the samples with one more note on an omitted part."""
+        """Return the samples with another note, which states that a part is omitted."""
         return replace(self, notes=(*self.notes, f"{self.source.name}: {note}"))
 
     @property
     def measured(self) -> LogSamples:
-        """The samples that are not frozen."""
+        """The samples without the frozen ones."""
         return self if self.frozen is None else self.chosen(~self.frozen)
 
     def place(self, index: int) -> Place:
-        """Return the place of one sample, for errors."""
+        """Return the place of one sample, for error messages."""
         number = int(self.at[index])
         if self.source.counts == "line":
             return Place(file=self.source.file, line=number, field=self.source.what or None)
@@ -172,7 +182,7 @@ class LogSamples:
 
 @dataclass
 class Collector:
-    """A collector of samples from ``begin_ns`` to ``end_ns``, which raises LogError for too many samples."""
+    """A collector of the samples from ``begin_ns`` to ``end_ns``; it raises LogError for too many samples."""
 
     source: LogSource
     width: int
@@ -193,7 +203,7 @@ class Collector:
     _unstamped: int = 0
 
     def unstamped(self, refused: LogError) -> None:
-        """Count a sample without a valid time; raise ``refused`` unless it may precede the window."""
+        """Count a sample without a valid time, or raise ``refused`` if it cannot be before the window."""
         if not self.unstamped_before or self._time:
             raise refused
         self._unstamped += 1
@@ -221,7 +231,7 @@ class Collector:
         self._at.append(at)
 
     def samples(self) -> LogSamples:
-        """Return the samples; raise LogError for fewer than ``least``, or for times that do not rise."""
+        """Return the samples; raise LogError if they are fewer than ``least`` or if times do not increase."""
         n = len(self._time)
         read = LogSamples(
             self.source,
@@ -242,7 +252,10 @@ class Collector:
         return read if n == 0 else replace(read, span_ns=(int(self._first_ns), int(self._last_ns)))
 
     def _elsewhere(self) -> str:
-        """Return a hint if there are no samples: the times outside the window, or the messages' frames."""
+        """Return a hint for an error about missing samples.
+
+        The reason is either that all times are outside the window, or that the messages have other frames.
+        """
         if not self.seen and self.frames:
             names = sorted(self.frames)
             meant = near_miss(self.source.path.lstrip("/"), names)
@@ -257,10 +270,11 @@ class Collector:
 
 
 def refuse_disorder(samples: LogSamples) -> None:
-    """Raise LogError at the first sample whose time is not later than the previous one."""
+    """Raise LogError if the time of a sample is not later than the time of the previous sample."""
     steps = np.diff(samples.time_ns)
     for index in np.flatnonzero(steps < SHORTEST_STEP_NS)[:1].tolist():
         last_s, now_s = (samples.time_ns[i] / NS for i in (index, index + 1))
+        # Tell a repeated time from a time that goes back: the hints differ.
         twice = abs(int(steps[index])) < SHORTEST_STEP_NS
         same = np.array_equal(samples.values[index], samples.values[index + 1], equal_nan=True)
         got = f"{now_s:.9f} s after {last_s:.9f} s, in {samples.source.counts} {int(samples.at[index])}"

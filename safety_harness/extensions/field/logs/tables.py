@@ -1,7 +1,8 @@
-"""The reader of streams in tables (CSV, Parquet), whose columns are named by track, axis and unit.
+"""Read streams in tables (CSV, Parquet); a column's name consists of track, axis and unit.
 
-For example, ``right_hand_x_mm`` is the x of the track ``right_hand`` in millimetres. If a column's name has
-no unit, LOG.yaml must state the unit of the whole stream. An empty cell or NaN is an unmeasured sample.
+For example, the column ``right_hand_x_mm`` has the x coordinate of the track ``right_hand`` in millimetres.
+If a column's name has no unit, LOG.yaml must state the unit of the whole stream. An empty cell or NaN is an
+unmeasured sample.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ from safety_harness.base.extras import LOGS
 from safety_harness.extensions.field.logs.streams import LATEST_S, NS, Collector, LogSource
 from safety_harness.scenario.units import shown
 
-MOST_COLUMNS, MOST_NAMES_BYTES = 10_000, 1_000_000
-ROWS_AT_ONCE = 8_192
+MOST_COLUMNS, MOST_NAMES_BYTES = 10_000, 1_000_000  # a choice: more columns come from a file that is no table
+ROWS_AT_ONCE = 8_192  # of a Parquet file, to limit the memory; a choice
 TIME_UNITS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}  # in nanoseconds
 LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180.0}
@@ -42,7 +43,11 @@ _EXACT_BELOW = 1e6  # as a float, a smaller number of any unit of time has enoug
 
 @dataclass(frozen=True)
 class TableColumn:
-    """A column of a table with its unit in SI, or with ``words`` that map its texts to numbers."""
+    """A column of a table.
+
+    If the column contains numbers, ``si`` is the factor that converts them to SI units. If it contains texts,
+    ``words`` maps them to numbers.
+    """
 
     name: str
     si: float
@@ -51,9 +56,9 @@ class TableColumn:
 
 @dataclass(frozen=True)
 class Table:
-    """The columns of a stream, and its time column with its unit [ns].
+    """The columns of a stream, the name of its time column, and the unit of its times [ns].
 
-    Without a time column, ``time`` is empty, and each line or row comes ``time_ns`` after the previous one.
+    If there is no time column, ``time`` is empty, and the time increases by ``time_ns`` from row to row.
     """
 
     time: str
@@ -81,17 +86,17 @@ def header_of(source: LogSource) -> tuple[str, ...]:
 def time_column(
     source: LogSource, names: Sequence[str], stated: str | None, rate_hz: float | None = None
 ) -> tuple[str, float]:
-    """Return the time column, with its unit [ns].
+    """Return the name of the time column, and its unit [ns].
 
     Args:
         source: The table.
         names: The names of its columns.
-        stated: The time column in LOG.yaml, or None for a column such as ``time_s``.
+        stated: The time column that LOG.yaml states, or None to find a column such as ``time_s``.
         rate_hz: The rate of a table without times, or None if the table has times. With a rate, the returned
             name is empty, and the unit is the time per row.
 
     Raises:
-        LogError: No column fits, several columns fit, or a table with a rate has times.
+        LogError: No column fits, several columns fit, or a table for which a rate is stated also has times.
 
     """
     if rate_hz is not None:
@@ -131,7 +136,9 @@ def optional_column(
     *,
     bare: bool = True,
 ) -> TableColumn | None:
-    """Return the column ``stem`` plus a unit, or ``stem`` with a stated unit; None if there is none.
+    """Return the column for the quantity ``stem``, or None if there is no such column.
+
+    The unit of the column must be stated, either at the end of its name or in LOG.yaml.
 
     Args:
         source: The table.
@@ -139,7 +146,8 @@ def optional_column(
         stem: The beginning of the name.
         units: The possible units in SI.
         unit: The unit that LOG.yaml states, or None.
-        bare: True if a column ``stem`` without a unit is an error. Otherwise it is another quantity.
+        bare: True to reject a column ``stem`` whose unit is not stated. If False, such a column is ignored as
+            another quantity.
 
     """
     matches = [TableColumn(name, si) for item, si in units.items() if (name := f"{stem}_{item}") in names]
@@ -166,14 +174,18 @@ def required_column(
 
 
 def along(track: str, axis: str) -> str:
-    """Return the name of a track's column for ``axis``, without its unit; the track's name may be empty."""
+    """Return the name of a track's column for ``axis``, without the unit.
+
+    The name of the track may be empty.
+    """
     return f"{track}_{axis}" if track else axis
 
 
 def tracks_of(header: tuple[str, ...], *, bare: bool) -> set[str]:
-    """Return the names of all tracks in a table, from columns for x, y and z in the same unit of length.
+    """Return the names of all tracks in a table.
 
-    With ``bare``, columns without a unit also make a track. Columns x, y and z make a track without a name.
+    A track consists of columns for x, y and z that have the same unit of length. If ``bare`` is True, columns
+    without a unit can also be a track. If the columns' names are only x, y and z, the track's name is empty.
     """
     ends = (*(f"_{unit}" for unit in LENGTH_UNITS), *[""] * bare)
     stems = {(name[: -len(f"_x{end}")], end) for name in header for end in ends if name.endswith(f"_x{end}")}
@@ -192,7 +204,7 @@ def only_track(source: LogSource, header: tuple[str, ...]) -> str:
 
 
 def read_table(table: Table, collector: Collector) -> None:
-    """Add every row to ``collector``; raise LogError with the line or row of a cell that is no number."""
+    """Add every row to ``collector``; raise LogError with the line or row of a cell that is not a number."""
     source = collector.source
     wanted = tuple(col.name for col in table.columns if col is not None)
     wanted = (table.time, *wanted) if table.time else wanted
@@ -248,7 +260,7 @@ def _parquet_cells(
 
 
 def _refuse_types(source: LogSource, schema: Any, table: Table) -> None:
-    """Raise LogError for a Parquet column of truths or times, which would be read as numbers."""
+    """Raise LogError if a Parquet column has booleans or times, because they would be misread as numbers."""
     columns = [column.name for column in table.columns if column is not None and column.words is None]
     for name in [*[table.time] * bool(table.time), *columns]:
         kind = str(schema.field(name).type)
@@ -258,16 +270,23 @@ def _refuse_types(source: LogSource, schema: Any, table: Table) -> None:
 
 
 def as_word(cell: object) -> str:
-    """Return a program's word, or the number that it sends instead, as the text in a table of words."""
+    """Return the content of a cell as a text that can be looked up in the table of words.
+
+    Some programs log a number instead of a word.
+    """
     if isinstance(cell, float) and cell.is_integer():
         return str(int(cell))
     return "" if cell is None else str(cell).strip()
 
 
 def _time(cell: Any, table: Table, source: LogSource, at: int) -> int:
-    """Return a time in nanoseconds, computed from the decimal digits if a float has too few."""
+    """Return the time in a cell [ns].
+
+    If a float has too few digits for the time, the function uses the decimal text of the cell.
+    """
     try:
         value = float(cell)
+        # Python's ``float`` accepts 1_000, but a cell with an underscore is a mistake.
         if isinstance(cell, str) and "_" in cell:
             raise ValueError
         if abs(value) * table.time_ns > LATEST_S * NS:
@@ -286,7 +305,10 @@ def _time(cell: Any, table: Table, source: LogSource, at: int) -> int:
 
 
 def _cell(cell: Any, col: TableColumn, source: LogSource, at: int) -> float:
-    """Return the number of a cell in SI, the number of its word, or NaN if the cell is empty."""
+    """Return the number in a cell, or NaN if the cell is empty.
+
+    The number is in SI units. If the cell contains a word, the column maps the word to a number.
+    """
     if col.words is not None:
         term = as_word(cell)
         if term not in col.words:
@@ -309,7 +331,11 @@ def _cell(cell: Any, col: TableColumn, source: LogSource, at: int) -> float:
 
 
 def _separator(path: Path) -> str:
-    """Return the separator of cells in the line of names of a CSV file; several spaces count as one."""
+    """Return the separator of the cells in a CSV file.
+
+    It is derived from the line with the names of the columns. If it is a space, several successive spaces are
+    one separator.
+    """
     with path.open("rb") as data:
         names = data.readline(MOST_NAMES_BYTES).decode("utf-8-sig", "replace").strip()
     unquoted = re.sub(r'"[^"]*"', "", names)
@@ -374,7 +400,7 @@ def _error(
     field: str | None = None,
     line: int | None = None,
 ) -> LogError:
-    """Return a LogError at a line of a CSV file, or at a row of a Parquet file."""
+    """Return a LogError that refers to a line of a CSV file or to a row of a Parquet file."""
     if source.ending == ".parquet":
         field = f"row {line}" + (f": {field}" if field else "") if line else field
         line = None

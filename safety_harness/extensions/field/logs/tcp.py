@@ -1,4 +1,4 @@
-"""The check of a log's own TCP against the TCP that follows from its joints, arm and tool."""
+"""Check a log's own TCP against the TCP that follows from the log's joints, the arm and the tool."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ HINT = "another arm, tool, zero position, sign, unit or frame? a UR controller's
 def checked_tcp(
     tcp: LogSamples, known_to_m: float, joints: LogSamples, facts: JointFacts, robot: AnyRobot
 ) -> TcpCheck:
-    """Compare all samples of ``tcp`` with the TCP that the joints determine; raise LogError if they differ.
+    """Compare all samples of ``tcp`` with the TCP that follows from the joints.
 
-    Between two samples of the joints, the tolerance covers all angles that the joints may have reached.
+    Raise LogError if a difference exceeds the tolerance. For a time between two samples of the joints, the
+    tolerance covers all angles that are possible then.
     """
     arm = arm_model(robot)
     time_s, tcp_s = ((stream.time_ns - joints.time_ns[0]) / NS for stream in (joints, tcp))
