@@ -31,9 +31,10 @@ from safety_harness.cell.robot.description import ArmModel, resolved_urdf
 from safety_harness.cell.robot.dynamics import GRAVITY_MPS2
 from safety_harness.cell.robot.joint_data import Use
 from safety_harness.cell.simulation.cameras import object_polygon_in_base
-from safety_harness.cell.simulation.engine import pybullet
+from safety_harness.cell.simulation.engine import pybullet, quiet
 from safety_harness.cell.simulation.world import TABLE_CENTRE_M, TABLE_HALF_M
 
+# A choice: the visible table lies lower by this, so that the object covers it.
 OBJECT_THICKNESS_M = 0.0005
 OUT_OF_VIEW_M = (0.0, 0.0, -9.0)  # the position of hands until ``place_hands``
 OBJECT_COLOUR_RGBA = (*(value / 255.0 for value in OBJECT_RGB), 1.0)
@@ -42,7 +43,10 @@ TABLE_COLOUR_RGBA = (*(value / 255.0 for value in TABLE_RGB), 1.0)
 
 @dataclass(frozen=True)
 class Bodies:
-    """PyBullet's numbers of the bodies in the cell; hands are bodies only if the world renders images."""
+    """PyBullet's numbers of the bodies in the cell.
+
+    Hands are bodies only if the world renders images.
+    """
 
     robot: int
     joints: tuple[int, ...]
@@ -52,7 +56,10 @@ class Bodies:
 
 @lru_cache(maxsize=16)
 def urdf_file(arm: ArmModel, visuals: bool) -> Path:
-    """Return a file with the resolved URDF for PyBullet, written once and removed when the process ends."""
+    """Return a file with the resolved URDF for PyBullet.
+
+    The function writes the file once, and the file disappears when the process ends.
+    """
     handle, path = tempfile.mkstemp(prefix="safety_harness_", suffix=".urdf")
     atexit.register(Path(path).unlink, missing_ok=True)
     with os.fdopen(handle, "w") as file:
@@ -61,7 +68,7 @@ def urdf_file(arm: ArmModel, visuals: bool) -> Path:
 
 
 def load_robot(client: int, arm: ArmModel, *, visuals: bool) -> tuple[int, tuple[int, ...]]:
-    """Load an arm at its seat; return PyBullet's numbers of the arm and of its joints.
+    """Load an arm at its seat, and return PyBullet's numbers of the arm and of its joints.
 
     Args:
         client: PyBullet's client.
@@ -74,13 +81,14 @@ def load_robot(client: int, arm: ArmModel, *, visuals: bool) -> tuple[int, tuple
     """
     arm.require(Use.PHYSICS)
     tilt = vector_from_rotation(arm.transform_seat[:3, :3])
-    robot = pybullet.loadURDF(
-        str(urdf_file(arm, visuals)),
-        arm.transform_seat[:3, 3],
-        _turn_by(tilt),
-        useFixedBase=True,
-        physicsClientId=client,
-    )
+    with quiet(1):  # a line for each frame without inertia, such as tool0
+        robot = pybullet.loadURDF(
+            str(urdf_file(arm, visuals)),
+            arm.transform_seat[:3, 3],
+            _turn_by(tilt),
+            useFixedBase=True,
+            physicsClientId=client,
+        )
     by_name = {
         pybullet.getJointInfo(robot, i, physicsClientId=client)[1].decode(): i
         for i in range(pybullet.getNumJoints(robot, physicsClientId=client))
@@ -104,7 +112,8 @@ def build_cell(
         settings: The settings.
         arm: The arm.
         joint_position_rad: The arm's joint position (n,).
-        rendered: Whether the world renders images. Only then the cell gets visual meshes, object and hands.
+        rendered: Whether the world renders images. If it does, the cell also has visual meshes, the object
+            and the hands.
         hands: The number of hands.
 
     """
@@ -137,7 +146,10 @@ def build_cell(
 
 
 def _table(client: int, settings: Settings, *, rendered: bool) -> None:
-    """Load the table into the client, visible if ``rendered``."""
+    """Load the table into the client.
+
+    The table is visible if ``rendered`` is True.
+    """
     height_m = settings.cell.table_height_m
     collision = pybullet.createCollisionShape(
         pybullet.GEOM_BOX, halfExtents=TABLE_HALF_M, physicsClientId=client
@@ -162,7 +174,10 @@ def _table(client: int, settings: Settings, *, rendered: bool) -> None:
 
 
 def _paint_object(client: int, settings: Settings) -> None:
-    """Load the object as a thin painted prism, whose upper face lies in the plane that servoing sees."""
+    """Load the object as a thin painted prism.
+
+    The upper face is in the plane of the object that servoing assumes.
+    """
     top = object_polygon_in_base(settings)
     n = len(top)
     if np.cross(top[1] - top[0], top[2] - top[0])[2] < 0.0:
@@ -188,13 +203,13 @@ def _painted(
     kind: int = pybullet.GEOM_MESH,
     **shape: Any,
 ) -> int:
-    """Load a body that is visible but never collides; return its number."""
+    """Load a visible body without collisions, and return its number."""
     visual = pybullet.createVisualShape(kind, rgbaColor=colour, physicsClientId=client, **shape)
     return int(pybullet.createMultiBody(0.0, -1, visual, basePosition=at, physicsClientId=client))
 
 
 def _hand(client: int, settings: Settings) -> int:
-    """Load the sphere of a hand; return its number."""
+    """Load the sphere of a hand, and return its number."""
     vertices, faces = _round_mesh(settings.hand.radius_m)  # PyBullet's own sphere errs by up to 9 px
     return _painted(client, HAND_COLOUR_RGBA, vertices=vertices, indices=faces, normals=vertices)
 
@@ -220,7 +235,7 @@ def _round_mesh(radius_m: float, rings: int = 24) -> tuple[list[list[float]], li
 
 
 def _forearm(client: int, settings: Settings) -> int:
-    """Load the capsule of a forearm; return its number."""
+    """Load the capsule of a forearm, and return its number."""
     hand, kind = settings.hand, pybullet.GEOM_CAPSULE
     return _painted(
         client, SLEEVE_COLOUR_RGBA, kind=kind, radius=hand.forearm_radius_m, length=hand.forearm_length_m
@@ -228,9 +243,9 @@ def _forearm(client: int, settings: Settings) -> int:
 
 
 def place_hands(client: int, bodies: Bodies, hands: NDArray[np.void]) -> None:
-    """Move the painted hands to their positions, and each forearm between its hand and its elbow.
+    """Move each painted hand to its position, and each forearm between its hand and its elbow.
 
-    ``hands`` (hands,) HAND.
+    ``hands`` (hands,) contains records HAND.
     """
     for hand, sphere, forearm in zip(hands, bodies.hands, bodies.forearms, strict=True):
         if not hand["present"]:
@@ -261,15 +276,17 @@ def _turn_z_to(direction: NDArray[np.float64]) -> tuple[float, float, float, flo
     return (quaternion[0], quaternion[1], quaternion[2], quaternion[3])
 
 
+# A choice: the renderer draws nothing nearer or farther than this.
 NEAR_M, FAR_M = 0.02, 5.0
 
 
 def render(
     client: int, transform_camera_to_base: Array4x4, focal_px: float, width_px: int, height_px: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """Return an image's colour (h, w, 3), and the depth (h, w) [m] along the optical axis, +inf if empty.
+    """Return the colours (h, w, 3) and the depths (h, w) [m] of an image.
 
-    OpenGL's camera looks along its -z axis with y up; ours looks along z with y down.
+    A depth is along the optical axis, and is +inf if the pixel shows no body. OpenGL's camera looks along its
+    -z axis with y up. The camera here looks along z with y down.
 
     Args:
         client: PyBullet's client.
@@ -294,6 +311,7 @@ def render(
         height_px,
         view,
         projection,
+        # Shadows double the time of an image.
         shadow=0,
         lightDirection=(0.0, 0.0, 1.0),
         renderer=pybullet.ER_TINY_RENDERER,
@@ -307,9 +325,9 @@ def render(
 
 
 def rendered_object(colour: NDArray[np.uint8], focal_px: float) -> tuple[bool, NDArray[np.float64]]:
-    """Return whether the object is in view in a rendered image, and its moments (31,) by a threshold.
+    """Return whether the object is in view in a rendered image, and the object's moments (31,).
 
-    ``colour`` (height, width, 3).
+    A threshold selects the pixels of the object. ``colour`` has the shape (height, width, 3).
     """
     moments = np.full(MOMENT_COUNT, np.nan)
     mask = object_mask(colour)

@@ -1,4 +1,4 @@
-"""Import PyBullet without its greeting, the build time that its C code prints on standard error."""
+"""Import PyBullet, and suppress the lines that its C code prints."""
 
 from __future__ import annotations
 
@@ -9,21 +9,27 @@ from contextlib import contextmanager
 
 
 @contextmanager
-def _quiet_standard_error() -> Iterator[None]:
-    """Discard the output of C code to file descriptor 2 within the block."""
-    sys.stderr.flush()
-    kept = os.dup(2)
+def quiet(descriptor: int) -> Iterator[None]:
+    """Discard the output of C code on file descriptor 1 or 2 within the block."""
+    stream = sys.stdout if descriptor == 1 else sys.stderr
+    if stream is not None:
+        stream.flush()
+    try:
+        kept = os.dup(descriptor)
+    except OSError:  # the process has no such stream
+        yield
+        return
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
-        os.dup2(nowhere, 2)
+        os.dup2(nowhere, descriptor)
         yield
     finally:
-        os.dup2(kept, 2)
+        os.dup2(kept, descriptor)
         os.close(kept)
         os.close(nowhere)
 
 
-with _quiet_standard_error():
+with quiet(2):  # a line with the build time
     import pybullet
 
-__all__ = ["pybullet"]
+__all__ = ["pybullet", "quiet"]
