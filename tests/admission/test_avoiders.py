@@ -331,3 +331,15 @@ def test_each_of_ours_is_had_by_its_name_and_no_other() -> None:
         shipped_avoider("mc-dropuot")
     with pytest.raises(InadmissibleError):
         shipped_avoider("mine.py:Mine")
+
+
+def test_a_file_that_imports_its_neighbour_is_told_how(tmp_path: Path) -> None:
+    (tmp_path / "helper.py").write_text("UP = 0.1\n")
+    (tmp_path / "mine.py").write_text("from helper import UP\n")
+    (tmp_path / "other.py").write_text("from no_such_module import UP\n")
+    with pytest.raises(InadmissibleError) as caught:
+        resolve_avoider(scenario(avoider=f"{tmp_path}/mine.py:Mine"))
+    assert caught.value.hint.startswith("PYTHONPATH=")
+    with pytest.raises(InadmissibleError) as caught:
+        resolve_avoider(scenario(avoider=f"{tmp_path}/other.py:Mine"))
+    assert caught.value.hint == ""

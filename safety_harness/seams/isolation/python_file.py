@@ -1,6 +1,7 @@
-"""A user's own Python file: the names that its text defines, and the object that its execution provides.
+"""Check a user's Python file by its text, and execute the file to get an object from it.
 
-``refuse_undefined`` parses the text and executes no code. ``made_by`` executes the file with all its imports.
+``refuse_undefined`` parses the text without executing any code. ``made_by`` executes the file with all its
+imports.
 """
 
 from __future__ import annotations
@@ -16,10 +17,10 @@ from types import ModuleType
 
 from safety_harness.base.exceptions import InadmissibleError, Place, described
 from safety_harness.scenario.fields import SENTENCE, is_sentence
-from safety_harness.scenario.files import read_bytes
+from safety_harness.scenario.files import display_path, read_bytes
 from safety_harness.seams.isolation.opened import DECLARED, declare, watch
 
-MOST_SOURCE = 10_000_000
+MOST_SOURCE = 10_000_000  # bytes; a choice
 MOST_PARSED = 1_000_000  # a tree is a hundred times its text
 # Nodes that may define names that the text does not show.
 _HIDDEN = frozenset({"exec", "eval", "globals", "locals", "setattr", "vars", "__getattr__"})
@@ -27,7 +28,10 @@ _INNER = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef, ast.Lambda)
 
 
 def source_of(path: Path, place: Place) -> bytes:
-    """Return the bytes of a Python file; InadmissibleError at ``place`` if it is missing or too large."""
+    """Return the bytes of a Python file.
+
+    Raise InadmissibleError at ``place`` if the file is missing or too large.
+    """
     source = read_bytes(path, most=MOST_SOURCE, place=place, error=InadmissibleError)
     if len(source) > MOST_SOURCE:
         expected = f"a Python file of at most {MOST_SOURCE:,} bytes"
@@ -40,8 +44,9 @@ def refuse_undefined(
 ) -> None:
     """Raise InadmissibleError at ``place`` unless the file is Python and seems to define ``name``.
 
-    A class without bases must have the ``methods``. Faults that only execution shows, and faults in a very
-    long text, appear in the run itself. ``hint`` tells the user where to read more.
+    If ``name`` is a class without bases, it must define the ``methods``. Faults that only show during
+    execution, or in a very long text, are detected in the run itself. ``hint`` is a text on further reading
+    for the user.
     """
     source = source_of(path, place)
     if len(source) > MOST_PARSED:
@@ -66,7 +71,12 @@ def refuse_undefined(
 
 
 def _misfit(node: ast.AST, method: str, keywords: set[str]) -> str:
-    """Return a method's parameters if it cannot be called with ``keywords``, or also with "seen"; else ""."""
+    """Return the parameters of a method if the method cannot be called with ``keywords``.
+
+    Otherwise return an empty text.
+
+    The method may have a further parameter "seen".
+    """
     if not isinstance(node, ast.ClassDef):
         return ""
     own = [item for item in node.body if isinstance(item, ast.FunctionDef) and item.name == method]
@@ -81,14 +91,17 @@ def _misfit(node: ast.AST, method: str, keywords: set[str]) -> str:
 
 
 def _lacks(node: ast.AST, method: str) -> bool:
-    """Return whether ``node`` is a class that does not define the method, and cannot get it otherwise."""
+    """Return whether ``node`` is a class that certainly lacks the method.
+
+    A class with bases or decorators, for example, may get the method from them.
+    """
     if not isinstance(node, ast.ClassDef) or node.bases or node.keywords or node.decorator_list:
         return False
     return not any(method in _defined(inner) or _hides(inner) for inner in _top(node))
 
 
 def _top(node: ast.AST) -> Iterator[ast.AST]:
-    """Yield all nodes below a module or class in order, but none inside its functions and classes."""
+    """Yield all nodes below a module or class in order, except nodes inside its functions and classes."""
     waiting = [*ast.iter_child_nodes(node)][::-1]  # no recursion: the text decides how deep it is
     while waiting:
         child = waiting.pop()
@@ -98,7 +111,7 @@ def _top(node: ast.AST) -> Iterator[ast.AST]:
 
 
 def _defined(node: ast.AST) -> set[str]:
-    """Return the names that a statement, or a target of an assignment, defines."""
+    """Return the names that a node defines, such as the name of a function, a variable or an import."""
     if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
         return {node.name}
     if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
@@ -120,10 +133,10 @@ def made_by(path: Path, source: bytes, name: str, kind: str, place: Place, hint:
     Args:
         path: The user's file.
         source: The bytes of the file.
-        name: The attribute: an object, or a class that is instantiated without arguments.
-        kind: The kind of object with its article, such as "an avoider".
-        place: The place of an error.
-        hint: Where the user can read more.
+        name: The name of an attribute, which is an object, or a class that is instantiated without arguments.
+        kind: The kind of object with its article, for error messages, such as "an avoider".
+        place: The place that errors state.
+        hint: A text on further reading for the user.
 
     Raises:
         InadmissibleError: The file fails, or has no such attribute.
@@ -151,7 +164,7 @@ def made_by(path: Path, source: bytes, name: str, kind: str, place: Place, hint:
 
 
 def refuse_lacking(value: object, name: str, methods: Sequence[str], place: Place, hint: str) -> None:
-    """Raise InadmissibleError at ``place`` unless the object has the ``methods`` and a valid name."""
+    """Raise InadmissibleError at ``place`` unless the object has all ``methods`` and a valid name."""
     for method in methods:
         if not callable(getattr(value, method, None)):
             expected, got = f"{name} to have a method {method}", f"no such method in a {type(value).__name__}"
@@ -165,9 +178,10 @@ def refuse_lacking(value: object, name: str, methods: Sequence[str], place: Plac
 
 
 def _module(path: Path, source: bytes, place: Place) -> ModuleType:
-    """Return the file as a module, freshly executed, under a name that no other module has.
+    """Execute the file and return it as a module with a unique name.
 
-    The function compiles the text itself, because Python's own cache misses an edit within the same second.
+    The function compiles the text itself, because Python's cache does not notice an edit within the same
+    second.
     """
     digest = hashlib.sha256(str(path).encode()).hexdigest()[:12]
     spec = spec_from_file_location(f"user_{digest}_{path.stem}", path)
@@ -184,5 +198,7 @@ def _module(path: Path, source: bytes, place: Place) -> ModuleType:
 
 
 def raised(path: Path, place: Place, expected: str, error: BaseException) -> InadmissibleError:
-    """Return an InadmissibleError: the user's file raised ``error``, not the ``expected`` result."""
-    return InadmissibleError(place=place, expected=expected, got=described(error, str(path)))
+    """Return the error for a user's file that raised ``error`` where ``expected`` was expected."""
+    beside = isinstance(error, ModuleNotFoundError) and (path.parent / f"{error.name}.py").is_file()
+    hint = f"PYTHONPATH={display_path(path.parent)} lets it import modules of its folder" if beside else ""
+    return InadmissibleError(place=place, expected=expected, got=described(error, str(path)), hint=hint)
