@@ -1,9 +1,11 @@
-"""Judge a safety filter: it must not change a command that can harm no hand.
+"""Check that a safety filter does not change commands that cannot harm a hand.
 
-A filter that always stops the arm touches no hand, but it is of no use.  The claim takes the true hands, an
-upper bound of their speeds, and a deceleration with which the arm brakes.  A command is harmless if the arm
-can execute it for one control period and then brake, and no moving part can meet a hand until then.  The rule
-is that of the shield (``cell.controller.shield``) with exact positions: it allows all of the command.
+A filter that always stops the arm prevents every contact, but the arm then does no work.  The claim uses the
+true positions of the hands, an upper bound on their speed, and the deceleration of the braking arm.  Let the
+arm execute a command for one control period and then brake.  The command is harmless if no moving part can
+meet a hand before the arm stands still.  The claim applies the rule of the shield
+(``cell.controller.shield``) with exact positions.  According to this rule, a harmless command needs no
+reduction of its speed.
 """
 
 from __future__ import annotations
@@ -39,11 +41,16 @@ JOINTS, HANDS, ELBOWS = "joint_position_rad", "hand_position_in_base_m", "elbow_
 
 @dataclass(frozen=True, kw_only=True)
 class HarmlessUnchanged(Worded):
-    """The least 1 - s over the commands that the filter changed, with the share s that the rule allows.
+    """A claim about safety filters: they change no harmless command.
 
-    A protective stop of the controller is always harmless, so to override one violates the claim.
+    The margin is the least 1 - s over all commands that the filter changed.  Here s is the fraction of the
+    command's speed that the rule allows.
 
-    A run exercises the claim if the filter got a harmless command that moves the arm while a hand was there.
+    A protective stop of the controller is always harmless.  If the filter overrides a protective stop, it
+    therefore violates the claim.
+
+    A run exercises the claim if the filter received at least one harmless command that moves the arm while a
+    hand was present.
     """
 
     hand_speed_mps: float
@@ -56,7 +63,7 @@ class HarmlessUnchanged(Worded):
 
     @reads(JOINTS, HANDS, ELBOWS, also=["limits"])
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge each command that moves the arm while a hand is there."""
+        """Evaluate each command that moves the arm while a hand is present."""
         if not trace.scenario.safety_filter:
             return inconclusive(self, "the run has no safety filter")
         if overridden := overridden_stops(trace):
@@ -81,7 +88,10 @@ class HarmlessUnchanged(Worded):
         return judged(self, trace, 1.0 - shares[tick], trace.time_s[tick], reason, int(harmless.sum()))
 
     def _shares(self, trace: Trace) -> NDArray[np.float64]:
-        """Return (n,) the allowed share of each wanted command; infinite for a command that moves nothing."""
+        """Return the fraction of each requested command that the rule allows, shape (n,).
+
+        The fraction is infinite if the command moves no joint or if no hand is present.
+        """
         scenario, ticks = trace.scenario, trace.ticks
         size, hands = scenario.settings.hand, len(scenario.hands)
         at_m, elbow_m = ticks[HANDS][:, :hands], ticks[ELBOWS][:, :hands]
@@ -124,15 +134,19 @@ def _allowed(
     period_s: float,
     shares: NDArray[np.float64],  # (n,) written
 ) -> None:
-    """Fill the share of each wanted command that the shield's rule allows, which may exceed 1.
+    """Write to ``shares`` the fraction of each requested command that the shield's rule allows.
 
-    The share of a command that moves nothing stays as it is.
+    A fraction may exceed 1.
+
+    If a command moves no joint, or if there is no hand at a tick, the function does not change the entry.
     """
     g, axes, joints = shields[0], chains[0].joint_axes, joints_rad.shape[1]
     transforms = np.empty((joints + 2, 4, 4))
     for k in range(joints_rad.shape[0]):
         bend, rate_sum, count = 0.0, 0.0, 0
         for j in range(joints):
+            # A of the shield's rule: it bounds how far a point leaves its straight line
+            # (docs/explanation/shield.md).
             rate = abs(wanted_radps[k, j])
             bend += rate * g.reach_m[j] * (rate + 2.0 * rate_sum)
             rate_sum += rate
@@ -148,24 +162,30 @@ def _allowed(
         clearances(transforms, shields, capsules)
         fastest_mps = fastest_point(axes, transforms, wanted_radps[k], shields, capsules)
         stop_s = fastest_mps / g.deceleration_mps2
+        # One period at the commanded speed, then uniform braking.
         way_s = period_s + 0.5 * stop_s
         robot_m = fastest_mps * way_s + 0.5 * bend * way_s * way_s
         for i in range(count):
             free_m = g.clearance_m[i] - g.body_m
             own = share_within(free_m, robot_m, period_s, stop_s, g.hand_speed_mps, 0.0)
-            if not own >= shares[k]:
+            if not own >= shares[k] and not np.isnan(shares[k]):  # NaN of one hand stays
                 shares[k] = own
 
 
 HARMLESS_UNCHANGED = CatalogueEntry(
     prop=HarmlessUnchanged(hand_speed_mps=2.0, deceleration_mps2=1.0),
     rationale="a filter that stops the arm without need prevents contact, but nobody will keep the filter",
-    source="the rule of the shield, by the true hands (explanation/shield)",
-    margin="1 less the share of a changed command that the rule allows, least over the changed commands; "
-    "-100 % if the filter overrode a protective stop of the controller",
-    parameters="the greatest speed of a hand and the arm's deceleration; a hand and its forearm count as a "
-    "ball around the hand's centre that contains the elbow",
-    exercised="the filter gets a harmless command while a hand is there",
+    source="the shield's rule, applied to the true hands (see explanation/shield)",
+    margin=(
+        "1 minus the fraction of a changed command that the rule allows; the least value over "
+        "the changed commands. The margin is -100 % if the filter overrode a protective stop "
+        "of the controller"
+    ),
+    parameters=(
+        "the greatest speed of a hand and the arm's deceleration; the model of a hand and its "
+        "forearm is a ball around the hand's centre that contains the elbow"
+    ),
+    exercised="the filter gets a harmless command while a hand is present",
     inconclusive="the run has no safety filter",
     broken_by="a filter that stops the arm at every hand",
 )

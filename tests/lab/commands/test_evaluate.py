@@ -229,7 +229,7 @@ def test_ctrl_c_keeps_the_regions_that_were_finished(
     assert one["findings"] != []
     assert one["search"]["worst"] == []
     assert "Interrupted." in (folder / "out" / PAGE).read_text()
-    assert "the finished scores are saved; the same command makes all again" in capsys.readouterr().err
+    assert "the finished scores are saved; the same command repeats all" in capsys.readouterr().err
 
 
 def test_the_questions_of_a_space_are_a_region(folder: Path) -> None:

@@ -36,6 +36,8 @@ def test_ranks_agree_with_brute_force_also_with_ties() -> None:
     assert found is not None
     assert found.value == pytest.approx(np.corrcoef(ranks, other)[0, 1])
     assert found.low < found.value < found.high
+    width = np.arctanh(found.high) - np.arctanh(found.low)
+    assert width == pytest.approx(2.0 * 1.959964 * np.sqrt(1.06 / 7))  # Fieller, Hartley and Pearson, 1957
     assert rank_correlation(np.ones(20), np.arange(20.0)) is None
 
 

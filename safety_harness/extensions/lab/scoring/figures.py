@@ -1,4 +1,4 @@
-"""The figures of one region, with intervals, which describe the quality of an avoider's answers."""
+"""Compute statistics of an avoider's answers in a region, with confidence intervals."""
 
 from __future__ import annotations
 
@@ -25,15 +25,19 @@ COARSEST_M = 0.001  # the largest step of a number format: half precision has su
 SPREAD_COUNTS = (1, 2, 3)  # multiples of the spread
 WORST = 10
 TAIL = (1.0 - LEVEL) / 2.0
-NORMAL = 1.959964
+NORMAL = 1.959964  # the 97.5 % quantile of the standard normal distribution
 
 
 def quantile(values: ArrayN, share: float) -> Figure:
-    """Return the ``share`` quantile of ``values`` (n,); order statistics are the ends of its interval.
+    """Return a quantile of n values, with an interval whose ends are order statistics.
 
-    The interval is exact for any distribution.  An end is infinite if no value bounds it.
+    ``share`` is the probability level of the quantile.
+
+    The interval is exact for any distribution.  If no order statistic bounds the quantile on one side, this
+    end of the interval is infinite.
     """
     n, ordered = len(values), np.sort(values)
+    # The number of values below the quantile is Bin(n, share), and bdtrik inverts this distribution.
     below, above = np.nan_to_num(scipy.special.bdtrik([TAIL, 1.0 - TAIL], n, share), nan=-1.0)
     low, high = int(np.floor(below)), int(np.ceil(above))  # 0-based: the order statistics low and high
     return Figure(
@@ -44,32 +48,38 @@ def quantile(values: ArrayN, share: float) -> Figure:
 
 
 def mean(values: ArrayN) -> Figure:
-    """Return the mean of ``values`` (n,), with an interval from the normal distribution."""
+    """Return the mean of n values, with an interval from the normal distribution."""
     centre = float(values.mean())
     half = NORMAL * float(values.std(ddof=1)) / np.sqrt(len(values)) if len(values) > 1 else np.inf
     return Figure(centre, centre - half, centre + half)
 
 
 def root_mean_square(values: ArrayN) -> Figure:
-    """Return the root mean square of ``values`` (n,), with the roots of the mean square's interval."""
+    """Return the root mean square of n values.
+
+    Its interval consists of the roots of the ends of the mean square's interval.
+    """
     squares = mean(values**2)
     return Figure(*(float(np.sqrt(max(end, 0.0))) for end in (squares.value, squares.low, squares.high)))
 
 
 def rank_correlation(first: ArrayN, second: ArrayN) -> Figure | None:
-    """Return Spearman's rank correlation of ``first`` and ``second`` (n,), with Fisher's interval.
+    """Return Spearman's rank correlation of ``first`` and ``second``, with Fisher's interval.
 
-    The result is None if one array is constant or if n is below 10.
+    The variance of Fisher's z of a rank correlation is 1.06/(n - 3) (Fieller, Hartley and Pearson, 1957).
+
+    Both arrays contain n values.  The result is None if all values of an array are equal, or if n is below
+    10.
     """
     if len(first) < 10 or np.ptp(first) == 0.0 or np.ptp(second) == 0.0:
         return None
     rho = float(np.corrcoef(_ranks(first), _ranks(second))[0, 1])
-    z, half = np.arctanh(np.clip(rho, -1.0 + 1e-12, 1.0 - 1e-12)), NORMAL * 1.06 / np.sqrt(len(first) - 3)
+    z, half = np.arctanh(np.clip(rho, -1.0 + 1e-12, 1.0 - 1e-12)), NORMAL * np.sqrt(1.06 / (len(first) - 3))
     return Figure(rho, float(np.tanh(z - half)), float(np.tanh(z + half)))
 
 
 def _ranks(values: Floats) -> Floats:
-    """Return the ranks (n,) of ``values``; equal values share their average rank."""
+    """Return the rank of each value, shape (n,); equal values have their average rank."""
     _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
     return np.asarray((np.cumsum(counts) - 0.5 * (counts - 1))[inverse])
 
@@ -77,7 +87,9 @@ def _ranks(values: Floats) -> Floats:
 def region_score(
     region: QuestionRegion, questions: Questions, answers: Answers, settings: Settings
 ) -> RegionScore:
-    """Return all figures of one region; the figures of answers are None if there is no answer.
+    """Return all statistics of one region.
+
+    If there is no answer, the statistics of the answers are None.
 
     Args:
         region: The region.
@@ -129,7 +141,10 @@ _NAMES = (
 def _figures(
     posed: Questions, kept: Answers, settings: Settings, robot: AnyRobot, step_m: float
 ) -> dict[str, object]:
-    """Return the figures of ``_NAMES`` for the existing answers ``kept`` to the questions ``posed``."""
+    """Return the statistics in ``_NAMES`` for the given answers.
+
+    ``kept`` contains no missing answers, and ``posed`` contains the corresponding questions.
+    """
     hands, tcps, proposed = posed.hands_in_base_m, posed.tcps_in_base_m, kept.positions_in_base_m
     optimum = optimum_in_base_m(settings, hands, tcps)
     gained, off_by, error = gained_m(hands, tcps, proposed), off_m(proposed, optimum), proposed - optimum
@@ -161,12 +176,13 @@ def _figures(
 
 
 def number_step_m(positions: ArrayNx3) -> float:
-    """Return the largest step [m] of the number format of ``positions`` (n, 3).
+    """Return the largest step [m] between neighbouring numbers in the number format of ``positions``.
 
-    The result is 0 for double precision.  It is also 0 for a step above ``COARSEST_M``, which no number
-    format has.
+    The result is 0 for double precision.  It is also 0 for a step above ``COARSEST_M``, because such a step
+    cannot come from a number format.
     """
     largest = np.abs(positions).max(initial=0.0)
+    # The coarser format comes first, because every float16 is a float32 too.
     for kind in (np.float16, np.float32):
         if largest < 1e3 and (positions.astype(kind) == positions).all():
             step_m = float(np.spacing(kind(largest)))
@@ -180,7 +196,10 @@ def number_step_m(positions: ArrayNx3) -> float:
 
 
 def _most_alike(proposed: ArrayNx3, step_m: float) -> Proportion:
-    """Return the share of answers with the most frequent coordinate, less the share due to rounding."""
+    """Return the fraction of answers with the most frequent coordinate.
+
+    The function subtracts the fraction that rounding explains.
+    """
     most = 0
     for column in proposed.T:
         _, counts = np.unique(column, return_counts=True)
@@ -193,7 +212,9 @@ def _most_alike(proposed: ArrayNx3, step_m: float) -> Proportion:
 
 
 def in_reach(positions_in_base_m: ArrayNx3, settings: Settings, robot: AnyRobot) -> NDArray[np.bool_]:
-    """Return whether (n,) the arm reaches each position, at least the clearance above the table.
+    """Return whether each position is reachable and high enough above the table, shape (n,).
+
+    The height must be at least the clearance of the settings.
 
     Args:
         positions_in_base_m: (n, 3) the positions.
@@ -209,21 +230,27 @@ def in_reach(positions_in_base_m: ArrayNx3, settings: Settings, robot: AnyRobot)
 
 
 def _slopes(hands: ArrayNx3, tcps: ArrayNx3, error: ArrayNx3) -> tuple[Floats, Floats]:
-    """Return the growth of ``error`` (n, 3) with the hand and the TCP, (3, 3) each; 0 for a single row."""
+    """Return the slopes of the error with respect to the hand and to the TCP, shape (3, 3) each.
+
+    ``error`` has the shape (n, 3).  The slopes are 0 for a single row.
+    """
     inputs = np.hstack([hands - hands.mean(axis=0), tcps - tcps.mean(axis=0)])
+    # With this rcond, a coordinate that does not vary has the slope 0 instead of noise.
     slopes = np.linalg.lstsq(inputs, error - error.mean(axis=0), rcond=1e-9)[0].T  # (3, 6)
     return slopes[:, :3], slopes[:, 3:]
 
 
 def _matrix(rows: Floats) -> Matrix:
-    """Return the matrix ``rows`` (3, 3) as nested tuples."""
+    """Convert the matrix ``rows``, shape (3, 3), to nested tuples."""
     first, second, third = ((float(x), float(y), float(z)) for x, y, z in rows)
     return first, second, third
 
 
 def _spreads(error: ArrayNx3, posed: Questions, spreads: ArrayNx3) -> Spreads:
-    """Return the figures of ``spreads`` (n, 3) beside the errors ``error`` (n, 3)."""
+    """Return statistics that compare ``spreads`` with the errors ``error``, shape (n, 3) each."""
     off_by, largest = np.linalg.norm(error, axis=1), spreads.max(axis=1)
+    # Errors as the spreads promise them: their rank correlation is what honest spreads of this kind would
+    # have.
     drawn = spreads * generator(int(posed.seeds[0]), Branch.SCORING).standard_normal(spreads.shape)
     honest = rank_correlation(largest, np.linalg.norm(drawn, axis=1))
     rms_m = float(np.sqrt((spreads**2).sum(axis=1).mean()))
@@ -242,7 +269,10 @@ def _spreads(error: ArrayNx3, posed: Questions, spreads: ArrayNx3) -> Spreads:
 
 
 def _by_axis(error: ArrayNx3, spreads: ArrayNx3) -> Vector3:
-    """Return the rms error divided by the rms spread for each axis; 1 if both are zero."""
+    """Return the ratio of the RMS error to the RMS spread for each axis.
+
+    The ratio is 1 if both are zero.
+    """
     squares = (spreads**2).mean(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratios = np.sqrt((error**2).mean(axis=0) / squares)
@@ -253,7 +283,7 @@ def _by_axis(error: ArrayNx3, spreads: ArrayNx3) -> Vector3:
 def asked_row(
     region: str, questions: Questions, answers: Answers, row: int, settings: Settings
 ) -> ScoredQuestion:
-    """Return the question in ``row``, with its answer and the figures of the answer.
+    """Return the question in ``row``, its answer, and the errors and the spread of the answer.
 
     Args:
         region: The region's name.
@@ -281,7 +311,10 @@ def asked_row(
 def _worst(
     region: str, questions: Questions, answers: Answers, settings: Settings, *, by_gained: bool
 ) -> tuple[ScoredQuestion, ...]:
-    """Return the ``WORST`` questions with the worst answers; a missing answer is worse than a given one."""
+    """Return the ``WORST`` questions with the worst answers.
+
+    A missing answer is worse than any given answer.
+    """
     hands, tcps, proposed = questions.hands_in_base_m, questions.tcps_in_base_m, answers.positions_in_base_m
     if by_gained:
         badness = -gained_m(hands, tcps, proposed)
