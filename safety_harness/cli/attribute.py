@@ -1,4 +1,4 @@
-"""Define ``safety-harness attribute``, which prints an attribution in a terminal."""
+"""Define ``safety-harness attribute``, which finds the causes of violations and prints them."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ def attribute_runs(
     world: str | None = None,
     **beside: str | None,
 ) -> int:
-    """Attribute the violations of runs, print and write the result, and return the exit code.
+    """Attribute the violations of runs to causes, print and write the result, and return the exit code.
 
     Args:
         paths: scenario files, traces or folders.
-        avoider: the program that made the traces; None if they need no program.
-        out: the folder to write into; None writes no files.
+        avoider: the program that made the traces, or None if no program is needed.
+        out: the folder for the files, or None to write no files.
         confirm: whether each attribution is repeated in a reference world.
-        world: the world of the replays; None: the kinematic world.
-        **beside: the safety filter and the predictor that made the traces; None if they have none.
+        world: the world of the replays.  None means the kinematic world.
+        **beside: the safety filter and the predictor with which the traces were recorded, or None.
 
     """
     try:
@@ -69,5 +69,5 @@ def conclude(attributed: AttributionResult, out: Path | None) -> int:
         attributed.write(out)
         say(f"picture: {out / PICTURE} (for programs: {DATA})")
     if attributed.interrupted:
-        say("interrupted: what was attributed until then is above; the same command makes all again")
+        say("interrupted: the finished attributions are above; the same command repeats all")
     return attributed.exit_code

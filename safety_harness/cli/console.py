@@ -1,6 +1,6 @@
 """Print results on standard output, and everything else on standard error.
 
-With ``--json``, the results are one JSON document in place of lines.
+The option ``--json`` replaces lines of results by one JSON document.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _NO_BREAK = "\N{NO-BREAK SPACE}"
 
 @dataclass
 class _Answer:
-    """The answer of a command with ``--json``, which is collected until the command ends."""
+    """The results of a command with ``--json``, which are printed as one document when the command ends."""
 
     result: dict[str, object] = field(default_factory=dict)
     lines: list[str] = field(default_factory=list)
@@ -44,7 +44,7 @@ _as_json: ContextVar[_Answer | None] = ContextVar("as_json", default=None)
 
 
 def strip_control_chars(text: str) -> str:
-    """Replace characters that control a terminal, because a stranger may have chosen the names of files."""
+    """Replace control characters in a text, because untrusted names of files could control the terminal."""
     return text if text.isprintable() else "".join(c if c.isprintable() or c in "\n\t" else "?" for c in text)
 
 
@@ -54,7 +54,10 @@ def say(*lines: str) -> None:
 
 
 def result(*lines: str) -> None:
-    """Print lines of results on standard output; with ``--json``, keep them for the document."""
+    """Print lines of results on standard output.
+
+    If ``--json`` is given, store them for the document instead.
+    """
     if (answer := _as_json.get()) is None:
         _print(lines, "stdout")
     else:
@@ -62,7 +65,7 @@ def result(*lines: str) -> None:
 
 
 def next_step(command: str, purpose: str = "") -> None:
-    """Print on standard error the command that a user most likely wants next, and its purpose."""
+    """Print on standard error the command that the user most likely needs next, and the command's purpose."""
     say(f"next: {command}" + (f"    ({purpose})" if purpose else ""))
 
 
@@ -72,19 +75,25 @@ def asked_for_json() -> bool:
 
 
 def document(**fields: object) -> None:
-    """Add results to the document of ``--json``; the names of ``fields`` include their units."""
+    """Add results to the document of ``--json``.
+
+    The names of ``fields`` include the units.
+    """
     if (answer := _as_json.get()) is not None:
         answer.result |= fields
 
 
 def verbatim(text: str) -> None:
-    """Print ``text``, which programs read, on standard output without folding its lines."""
+    """Print ``text``, which is meant for programs, on standard output without folding its lines."""
     if _as_json.get() is None:
         _write(strip_control_chars(text) + "\n", "stdout")
 
 
 def answered_as_json(command: Callable[[], int]) -> int:
-    """Run ``command``, print its answer as one document however it ends, and return the exit code."""
+    """Run ``command``, print all its results as one JSON document, and return the exit code.
+
+    The document is printed even if the command fails or is interrupted.
+    """
     answer = _Answer()
     token = _as_json.set(answer)
     try:
@@ -108,7 +117,10 @@ def answered_as_json(command: Callable[[], int]) -> int:
 
 
 def _plain(value: object) -> Any:
-    """Return ``value`` in types that JSON knows; a number that is not finite becomes null."""
+    """Return ``value`` in types that JSON supports.
+
+    A number that is not finite becomes null.
+    """
     from msgspec import to_builtins
 
     own = to_builtins(value, enc_hook=_of_another_type, str_keys=True)
@@ -134,9 +146,10 @@ def _print(lines: Sequence[str], name: str) -> None:
 
 
 def _write(text: str, name: str) -> None:
-    """Write ``text`` to the stream ``name`` of ``sys``; stop writing if the stream or its pipe is closed.
+    """Write ``text`` to the standard stream ``name``, which is ``sys.stdout`` or ``sys.stderr``.
 
-    The command continues in this case, because its files matter more than its output.
+    If the stream or its pipe is closed, later text is discarded.  The command continues in that case, because
+    its files matter more than its output.
 
     Raises:
         OutputError: The disk is full.
@@ -157,16 +170,23 @@ def _write(text: str, name: str) -> None:
 
 def give_up(stream: TextIO) -> None:
     """Discard the buffered text of a stream, and all text written to it later."""
+    # Buffered text must go somewhere; otherwise Python would fail again when it closes the stream.
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def no_escapes() -> bool:
-    """Return whether the terminal must not receive escape codes: NO_COLOR is set, or TERM knows none."""
+    """Return whether the terminal must not receive escape codes.
+
+    This is the case if NO_COLOR is set, or if TERM states a terminal without escape codes.
+    """
     return bool(os.environ.get("NO_COLOR")) or os.environ.get("TERM", "").lower() in ("dumb", "unknown")
 
 
 def columns_of(stream: TextIO | None) -> int | None:
-    """Return the width at which lines are folded: COLUMNS or the terminal's; None for pipes and files."""
+    """Return the number of columns at which lines are folded, from COLUMNS or from the terminal.
+
+    Return None for pipes and files, whose lines are not folded.
+    """
     columns_text = os.environ.get("COLUMNS", "")
     if columns_text.isdecimal() and 0 < int(columns_text) < 100_000:
         return max(int(columns_text), _NARROWEST)
@@ -177,7 +197,10 @@ def columns_of(stream: TextIO | None) -> int | None:
 
 
 def folded(text: str, columns: int | None) -> str:
-    """Fold the lines of ``text`` to ``columns`` columns; longer words, such as file names, stay whole."""
+    """Fold the lines of ``text`` to ``columns`` columns.
+
+    A longer word, such as a file name, is not split.
+    """
     if columns is None or all(len(line) <= columns for line in text.split("\n")):
         return text
     return "\n".join(part for line in text.split("\n") for part in _parts(line, columns))
@@ -203,14 +226,14 @@ def _parts(line: str, columns: int) -> list[str]:
 
 
 def explain(error: Exception) -> None:
-    """Print a user's mistake: its place, what was expected, what was found, and the hint on its own line."""
+    """Print an error message for the user: the place, the expected input, the actual input and the hint."""
     if (answer := _as_json.get()) is not None:
         answer.errors.append(_error_fields(error))
     say(f"error: {explanation(error)}")
 
 
 def _error_fields(error: Exception) -> dict[str, object]:
-    """Return the fields of ``error`` for the document of ``--json``."""
+    """Return the fields that describe ``error`` in the document of ``--json``."""
     fields: dict[str, object] = {"kind": type(error).__name__, "message": str(error)}
     if isinstance(error, InputError):
         place = {name: getattr(error.place, name) for name in ("file", "line", "field")}
@@ -221,7 +244,7 @@ def _error_fields(error: Exception) -> dict[str, object]:
 def explain_each(errors: Sequence[InputError]) -> list[InputError]:
     """Explain each distinct error once, and return the distinct errors.
 
-    Several files that extend the same faulty file share its error.
+    If several files extend the same faulty file, they all have the same error.
     """
     once = each_once(errors)
     for error in once:
@@ -230,7 +253,10 @@ def explain_each(errors: Sequence[InputError]) -> list[InputError]:
 
 
 def say_shared_modules() -> None:
-    """Warn if several packages own the same module, because their versions do not tell whose code runs."""
+    """Warn if several packages own the same module.
+
+    In this case, the version of a package does not show which code runs.
+    """
     from safety_harness.trace.provenance import shared_modules
 
     for module, packages in shared_modules().items():

@@ -1,4 +1,4 @@
-"""Define ``safety-harness doctor``, which reports what works, is missing or is wrong in the installation."""
+"""Define ``safety-harness doctor``, which reports missing and faulty parts of the installation."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _REQUIREMENT = re.compile(r"([\w.-]+)(?:\[.*?\])?\s*\(?([^;)]*)\)?\s*(?:;\s*(.*)
 
 
 class State(StrEnum):
-    """The result of one check of the installation."""
+    """The outcome of one check of the installation."""
 
     OK = "ok"
     MISSING = "missing"
@@ -49,7 +49,11 @@ class State(StrEnum):
 
 @dataclass(frozen=True)
 class Examined:
-    """One check: its subject ``what``, its finding in ``words``, and whether every run needs the part."""
+    """The result of one check of the installation.
+
+    ``what`` is the checked part, ``words`` describes the finding, and ``needed`` states whether every run
+    needs the part.
+    """
 
     what: str
     state: State
@@ -84,7 +88,10 @@ def _machine() -> Iterator[Examined]:
 
 
 def _required() -> Iterator[Examined]:
-    """Yield a check for each required package: it is installed, in its version range, and importable."""
+    """Yield a check for each required package.
+
+    The package must be installed, have a version in the required range, and be importable.
+    """
     modules: dict[str, list[str]] = {}
     for module, names in metadata.packages_distributions().items():
         for name in names:
@@ -133,7 +140,10 @@ def _version(name: str) -> str:
 
 
 def _clashes() -> Iterator[Examined]:
-    """Yield the packages that share a module, because their versions do not tell whose code runs."""
+    """Yield the packages that share a module.
+
+    In this case, the version of a package does not show which code runs.
+    """
     if foreign := foreign_files():
         yield Examined("package safety_harness", State.PROBLEM, foreign)
     needed = required()
@@ -144,7 +154,10 @@ def _clashes() -> Iterator[Examined]:
 
 
 def _self_check() -> Examined:
-    """Simulate a short kinematic run with a hand, uncompiled, and check a claim that must hold in it."""
+    """Simulate a short kinematic run with a hand, and check a claim that must hold.
+
+    The check runs without compilation.
+    """
     try:
         evaluation = without_compiling(_short_run)
     except Exception as error:  # the check looks for any error of the installation
@@ -161,7 +174,10 @@ def _short_run() -> Evaluation:
 
 
 def required() -> dict[str, str]:
-    """Return the packages that every installation needs under this Python, with their version ranges."""
+    """Return the packages that every installation needs with this version of Python.
+
+    The values are their version ranges.
+    """
     ranges: dict[str, str] = {}
     for text in metadata.requires(DISTRIBUTION) or ():
         match = _REQUIREMENT.match(text)
@@ -175,15 +191,17 @@ def required() -> dict[str, str]:
 
 
 def fits(version: str, wanted: str) -> bool:
-    """Return whether ``version`` lies in a range such as ``>=2.0,<3``, which contains only numbers.
+    """Return whether ``version`` lies in a range such as ``>=2.0,<3``, whose limits contain only numbers.
 
-    A shorter limit covers all versions that begin with it: 2.4.6 satisfies ``==2.4`` but not ``>2.4``.
+    A version is compared with a limit only to the limit's number of digits, so 2.4.6 satisfies ``==2.4`` but
+    not ``>2.4``.
     """
     for part in filter(None, (limit_text.strip() for limit_text in wanted.split(","))):
         match = re.fullmatch(r"(==|!=|>=|<=|>|<)\s*([\d.]+)(?:\.\*)?", part)
         if match is None:
             return False
         limit = [int(number) for number in match[2].split(".")]
+        # Compare as many numbers as the limit has, so that 2.4.6 satisfies ==2.4.
         have = [int(number) for number in re.findall(r"\d+", version.partition("+")[0])]
         if not _COMPARED[match[1]]((have + [0] * len(limit))[: len(limit)], limit):
             return False

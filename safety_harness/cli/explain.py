@@ -19,14 +19,16 @@ from safety_harness.scenario.units import Dimension
 if TYPE_CHECKING:
     from safety_harness.claims.properties.entry import CatalogueEntry
 
-WIDTH = 110
+WIDTH = 110  # columns, also on a wider terminal, so that lines stay readable
 
 
 def explain_key(typed: Sequence[str]) -> int:
-    """Print the meaning of a key in every mapping that has it, or list all keys; return the exit code.
+    """Print the meaning of a key, or list all keys.
+
+    The function explains the key in every mapping that has it, and returns the exit code.
 
     Args:
-        typed: the words of the key; if empty, all keys are listed.
+        typed: the words of the key, or an empty sequence to list all keys.
 
     Raises:
         ScenarioError: no mapping has the key.
@@ -47,7 +49,9 @@ def explain_key(typed: Sequence[str]) -> int:
 
 
 def explain_claims(typed: Sequence[str]) -> int:
-    """Print every sentence of the catalogue, or details of the matching ones; return the exit code.
+    """Print every sentence of the catalogue, or details of the matching sentences.
+
+    Return the exit code.
 
     Args:
         typed: some words of a sentence, or a whole sentence with the user's own limit.  If empty, all
@@ -79,9 +83,9 @@ def explain_claims(typed: Sequence[str]) -> int:
 def _explain(
     field: str, query: str, expected: str, known: Iterable[str], matches: Sequence[Iterator[str]]
 ) -> int:
-    """Print the lines of each match, with empty lines between.
+    """Print the lines of each match, with an empty line between two matches.
 
-    Raise ScenarioError with similar names if there is no match.
+    Raise ScenarioError with similar names if there are no matches.
     """
     if not matches:
         hint = near_miss(query, known, most=3)
@@ -92,7 +96,10 @@ def _explain(
 
 
 def _described(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
-    """Yield (name, text) of everything that a catalogue entry or an added package tells people about it."""
+    """Yield (name, text) for each part of the description of a catalogue entry.
+
+    Added packages may contribute further parts.
+    """
     from safety_harness.claims.properties.entry import entry_fields
 
     yield from entry_fields(entry)
@@ -113,7 +120,10 @@ def _claim_lines(entry: CatalogueEntry) -> Iterator[str]:
 
 
 def _names(table: KeyTable, key: Key) -> tuple[str, ...]:
-    """Return the names that a user may type for a key: its own, and its own below its mapping's name."""
+    """Return the names that a user may type for a key.
+
+    They are the key's own name, and the key's name with the name of its mapping in front.
+    """
     above = {table.name, table.path, table.path.rpartition(".")[2]} - {""}
     return (key.name, *(f"{name}.{key.name}" for name in sorted(above)))
 
@@ -140,7 +150,10 @@ def _key_lines(table: KeyTable, key: Key) -> Iterator[str]:
 
 
 def _takes(key: Key) -> str:
-    """Return the text on a key's value with its bounds and units, or on the keys below it."""
+    """Return the text on the allowed values of a key.
+
+    It states the type and units, or the keys below this key.
+    """
     if isinstance(key.value, Below):
         names = [name for table in key.value.tables for name in table.names]
         return f"a mapping with the keys {', '.join(dict.fromkeys(names))}"
@@ -162,6 +175,6 @@ def _dimension(value: Value) -> Dimension | None:
 
 
 def _plain(text: str) -> str:
-    """Return the text of a table cell of the documentation without its markup."""
+    """Return the text of a table cell of the documentation, with its markup removed."""
     text = re.sub(r" \(\[[^]]*\]\(#[^)]*\)\)", "", text.replace("`", ""))
     return re.sub(r"\[[^]]*\]\(([a-z/-]+)\.md([^)]*)\)", r"safety-harness docs \1\2", text)

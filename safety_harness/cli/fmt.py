@@ -20,9 +20,10 @@ FORMATTED_KINDS = (FileKind.SCENARIO, FileKind.SPACE, FileKind.SUITE, FileKind.P
 
 
 def format_files(paths: Sequence[Path], *, check: bool, modernise: bool = False) -> int:
-    """Lay out every file, or with ``check`` only print the files that would change; return the exit code.
+    """Change every file to the standard layout, and return the exit code.
 
-    With ``modernise``, the function also replaces words of earlier releases by the present ones.
+    If ``check`` is true, only print the files that would change.  If ``modernise`` is true, the function also
+    replaces keys and claims of earlier releases by the present ones.
     """
     changed, failed = list[Path](), False
     for path in paths:
@@ -41,7 +42,10 @@ def format_files(paths: Sequence[Path], *, check: bool, modernise: bool = False)
 
 
 def _format(file: Path, *, check: bool, modernise: bool) -> bool:
-    """Lay out one file; return whether its layout changed, or with ``check`` would change."""
+    """Change one file to the standard layout, and return whether this changes the file.
+
+    If ``check`` is true, the file stays unchanged.
+    """
     refuse_other_kind(file, *FORMATTED_KINDS)
     data = read_bytes(file, most=MAX_BYTES, place=Place(file=file), error=ScenarioError)
     old_text = decode(data, most=MAX_BYTES, file=file, error=ScenarioError)

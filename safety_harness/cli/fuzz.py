@@ -19,25 +19,32 @@ def fuzz(
     avoider: OfAvoider = None,
     controller: OfController = None,
     against: OfReference = None,
-    budget: Annotated[int, Option(help="Runs to search with; shrinking has its own.")] = 1000,
+    budget: Annotated[
+        int, Option(help="Number of runs of the search. Shrinking uses additional runs.")
+    ] = 1000,
     seed: Seed = 0,
-    out: Annotated[Path, Option(help="Folder for fuzz.html, counterexamples, findings.json.")] = Path(
+    out: Annotated[Path, Option(help="Folder for fuzz.html, findings.json and the counterexamples.")] = Path(
         "reports/fuzz"
     ),
     searcher: Annotated[
-        str, Option(help="default, uniform, quasi-random, cma-es, or diverse, which fills holes.")
+        str,
+        Option(
+            help="The search method: default, uniform, quasi-random, cma-es or diverse. The method diverse"
+            " favours rarely visited kinds of runs."
+        ),
     ] = "default",
     claims: Annotated[
         list[str] | None,
         Option(
-            "--claim", help="Search for violations of this, in place of the space's claims; may be repeated."
+            "--claim",
+            help="Search for violations of this claim instead of the space's claims. May be repeated.",
         ),
     ] = None,
     world: Annotated[
         str | None,
         Option(
             "--world",
-            help="Search in this world, such as exec:SIMULATOR; without it in the kinematic world.",
+            help="The world of the search, for example exec:SIMULATOR. Default: the kinematic world.",
             metavar="WORLD",
         ),
     ] = None,
@@ -45,34 +52,36 @@ def fuzz(
         bool,
         Option(
             "--compare-with-uniform",
-            help="Sample the space uniformly too, with the same budget.",
+            help="Also sample the space uniformly, with the same budget, and compare the two searches.",
         ),
     ] = False,
     explain: Annotated[
         str,
-        Option(help="causes: an example for each cause, with no more simulation than the search; or all."),
+        Option(
+            help="The value causes explains one example of each cause, with at most as much simulated time"
+            " as the search. The value all explains every violation."
+        ),
     ] = "causes",
     verbose: Verbose = False,
 ) -> int:
-    """Search a space for violations; write each as a scenario file.
+    """Search a space for violations, and write each as a scenario file.
 
-    The command repeats a violation of each claim in every reference. It shrinks and
-    attributes one example for each cause, as far as that simulates no more than
-    the search did; --explain all explains the rest. It writes a page, fuzz.html,
-    with a map of the coverage, coverage.svg.
-    Ctrl-C keeps the findings so far.
+    The command repeats one violation of each claim in every reference world. It also shrinks one example of
+    each cause to a simpler scenario, and attributes the example to parts of the system. Shrinking and
+    attribution simulate at most as much time as the search, unless you pass --explain all. The command writes
+    a page, fuzz.html, and a map of the coverage, coverage.svg. If you press Ctrl-C, the findings so far are
+    saved.
 
-    With --against it searches for claims that the avoider or controller violates
-    and the reference keeps, on the same draws. It draws each difference again,
-    and lists a difference without a clear result as a flip near the limit.
+    With --against, the command searches for claims that your avoider or controller violates although the
+    reference satisfies them on the same draw. It repeats each such difference with new draws. If the result
+    is unclear, it lists the difference as a flip near the limit.
 
-    The search must find every claim that the space expects to be violated.
+    If the space expects a claim to be violated, the search must find a violation of this claim.
 
-    Exit code 0: as the space expects; this is no evidence of safety.
-    Exit code 1: an unexpected violation, an expected violation not found, a claim
-    that no run tested, or an avoider without an answer or with another answer to
-    the same question.
-    Exit code 2: bad input, or a folder that cannot be written.
+    Exit code 0: all results are as the space expects; this is no evidence of safety.
+    Exit code 1: a violation is unexpected, an expected violation was not found, or no run tested a claim.
+    Exit code 1 too: the avoider did not always answer, or gave two different answers to the same question.
+    Exit code 2: bad input, or the command cannot write to the folder.
     Exit code 130: interrupted.
     """
     from safety_harness.admission.avoiders import one_of, with_avoider

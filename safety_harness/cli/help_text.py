@@ -15,9 +15,10 @@ _OF_CODE = 5  # columns of the table's first column
 
 
 def lay_out_help(command: Any) -> Any:
-    """Return ``command``, whose ``--help`` is laid out from now on; so is the help of its subcommands.
+    """Change the layout of ``--help`` for ``command`` and its subcommands, and return ``command``.
 
-    The attribute ``help`` stays as the docstring has it, because the reference is made from it.
+    The attribute ``help`` still contains the text of the docstring, because the reference pages are generated
+    from it.
     """
     for part in getattr(command, "commands", {}).values():
         lay_out_help(part)
@@ -26,7 +27,7 @@ def lay_out_help(command: Any) -> Any:
     def format_help(ctx: Any, formatter: Any) -> None:
         written = command.help
         plain = command.rich_markup_mode is None
-        width = formatter.width if plain else (columns_of(sys.stdout) or 80) - 2
+        width = (formatter.width if plain else columns_of(sys.stdout) or 80) - 2  # click and Rich indent it
         command.help = laid_out(written or "", width, plain=plain)
         try:
             plain_help(ctx, formatter)
@@ -43,7 +44,7 @@ def laid_out(text: str, width: int, *, plain: bool) -> str:
     Args:
         text: The docstring.
         width: The width of the table.
-        plain: Whether click folds the paragraphs; it must leave the table as it is.
+        plain: Whether click folds the paragraphs. In this case, the table is protected from folding.
 
     """
     paragraphs = textwrap.dedent(text).strip().split("\n\n")

@@ -1,4 +1,7 @@
-"""Define all commands of ``safety-harness``; each command imports what it needs when it is called."""
+"""Define all commands of ``safety-harness``.
+
+A command imports the modules that it needs only when it is called.
+"""
 
 from __future__ import annotations
 
@@ -57,10 +60,10 @@ ELSEWHERE = {
 
 
 class _Commands(MutableMapping[str, Any]):
-    """The commands of the core and of other packages, by their names.
+    """A mapping from names to commands, for the commands of the core and of other packages.
 
-    The mapping loads a package's command when it is first used.  It lists the name of a command that fails to
-    load, but has no value for it.
+    The mapping loads a package's command when it is first used.  If a command fails to load, the mapping
+    lists its name but raises KeyError for it.
     """
 
     def __init__(self, core: MutableMapping[str, Any]) -> None:
@@ -99,12 +102,15 @@ class _Commands(MutableMapping[str, Any]):
         del self._made[name]
 
     def warn_of_hidden(self) -> None:
-        """Warn of the commands that are left out because their names are already in use."""
+        """Warn of commands that are omitted because their names are already in use."""
         for part in self._hidden:
             warn(part, f"the command {part.name} is there already")
 
     def _load(self, part: RegisteredPart) -> Any:
-        """Return the command of ``part``; if its Typer has none of that name, warn and return None."""
+        """Return the command of ``part``.
+
+        If the part does not provide a command of that name, warn and return None.
+        """
         if (group := load(part, typer.Typer)) is None:
             return None if part.package else _absent(part.name, "Not installed.", REINSTALL)
         if (loaded := commands_of(group).get(part.name)) is None:
@@ -130,14 +136,17 @@ class _Group(TyperGroup):
 
 
 def commands_of(group: typer.Typer) -> MutableMapping[str, Any]:
-    """Return the commands and groups that the Typer ``group`` adds, by their names."""
+    """Return the commands and groups that the Typer application ``group`` adds, by their names."""
     holder = typer.Typer(rich_markup_mode=app.rich_markup_mode)
     holder.add_typer(group)
     return typer.main.get_group(holder).commands
 
 
 def _absent(name: str, description: str, hint: str) -> Any:
-    """Return a stand-in for a command whose package is not installed; it explains how to install it."""
+    """Return a placeholder for a command whose package is not installed.
+
+    The placeholder explains how to install the package.
+    """
     commands = typer.Typer()
     settings = {"ignore_unknown_options": True, "allow_extra_args": True}
 
@@ -159,8 +168,8 @@ app = typer.Typer(
         "help_option_names": ["-h", "--help"],
         "token_normalize_func": lambda name: OLDER_OPTIONS.get(name, name),
     },
-    help="Verify a hand-avoidance controller of a robot arm: run scenarios and judge them, search for what "
-    "breaks it, and certify it.",
+    help="Verify a hand-avoidance controller of a robot arm: run and judge scenarios, search for "
+    "violations, and write the evidence as a report.",
 )
 for _core in CORE:
     app.add_typer(_core)
@@ -177,15 +186,15 @@ def of_all(
     version: Annotated[
         bool,
         typer.Option(
-            "--version", "-V", callback=_say_version, is_eager=True, help="Say which version this is."
+            "--version", "-V", callback=_say_version, is_eager=True, help="Print the version and exit."
         ),
     ] = False,
 ) -> None:
-    """Do nothing, because no option but ``--version`` is common to all commands."""
+    """Do nothing, because ``--version`` is the only option that all commands share."""
 
 
 def main() -> None:
-    """Run the command line; explain an error of the harness without a traceback."""
+    """Run the command line, and print an error of the harness without a traceback."""
     second = SecondProcess()
     watchers.extend((second, CompilationLine(sys.stderr, second.finished_part)))
     if sys.argv[1:2] == ["run"]:  # which reads and admits its scenarios before it compiles anything

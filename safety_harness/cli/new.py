@@ -28,10 +28,11 @@ SUITE, RECORDING = "test_{}.py", "{}_recording.csv"
 
 @dataclass(frozen=True)
 class Template:
-    """A template: its subject, and the files that it writes beside its scenario.
+    """A template, with a description of its content and of the files that are written beside its scenario.
 
-    Each of these files is a pair: its name in ``FOLDER``, and a pattern for its new name.  The pattern
-    contains the stem of FILE.
+    Each such file is described by a pair: the name of its source file in ``FOLDER``, and a pattern for the
+    name of the new file. The pattern contains ``{}``, which is replaced by the stem of the scenario's file
+    name.
     """
 
     about: str
@@ -66,25 +67,34 @@ TEMPLATES = {
 @command(commands, interrupted="interrupted: nothing was written")
 def new(
     template: Annotated[
-        str | None, Argument(help=f"One of {', '.join(TEMPLATES)}; asked for if none is given; or plan.")
+        str | None,
+        Argument(
+            help=f"One of {', '.join(TEMPLATES)}, or plan. Without it, the command asks for a template."
+        ),
     ] = None,
     file: Annotated[
-        Path | None, Argument(help="The scenario file to write; TEMPLATE.yaml if none. Of a plan: its space.")
+        Path | None,
+        Argument(
+            help="The scenario file to write. Default: TEMPLATE.yaml. With the template plan, FILE is the "
+            "existing space of the plan."
+        ),
     ] = None,
-    plan: Annotated[Path | None, Argument(help="The plan to write; SPACE-plan.yaml if none.")] = None,
-    listed: Annotated[
-        bool, Option("--list", help="Say which templates there are, and write nothing.")
-    ] = False,
+    plan: Annotated[
+        Path | None,
+        Argument(help="The plan to write, only with the template plan. Default: SPACE-plan.yaml."),
+    ] = None,
+    listed: Annotated[bool, Option("--list", help="List the templates, and write no file.")] = False,
 ) -> int:
-    """Write a scenario with comments to start from.
+    """Write a scenario with comments as a starting point.
 
-    The file runs as it is. new plan SPACE drafts a plan of a space's claims, with the fewest runs that can
-    show 2 %. The template log adds a recording beside the scenario; policy adds an avoider in Python and its
-    test. The command overwrites no file.
+    The command "new plan SPACE" drafts a plan for the claims of a space. The plan has the smallest number of
+    runs that can show that at most 2 % of runs violate a claim. The template log also writes a recording. The
+    template policy also writes an avoider in Python and a test of the avoider. The templates controller,
+    filter, predictor and simulator also write a Python file. The command never overwrites a file.
 
-    Exit code 0: written.
+    Exit code 0: the files are written.
     Exit code 2: an unknown template, an existing file, or a folder that cannot be written.
-    Exit code 130: interrupted.
+    Exit code 130: interrupted; no file was written.
     """
     if listed:
         document(templates=[{"name": name, "about": entry.about} for name, entry in TEMPLATES.items()])
@@ -112,9 +122,9 @@ def _listed() -> list[str]:
 
 
 def _ask_at_terminal() -> tuple[str, Path]:
-    """Ask at the terminal for the template and the file.
+    """Ask the user at the terminal for the template and the file.
 
-    Without a terminal, raise an error that lists the templates.
+    If there is no terminal, raise an error that lists the templates.
     """
     if not sys.stdin.isatty():
         raise _unknown("none, and no terminal to ask at")
@@ -140,7 +150,10 @@ def _unknown(got: str, hint: str = "") -> InputError:
 
 
 def _scenario_file(template: str, file: Path | None) -> Path:
-    """Return the path of the scenario, whose name must be printable and end in .yaml."""
+    """Return the path of the scenario.
+
+    Its name must be printable and end in .yaml.
+    """
     if file is None:
         return Path(f"{template}.yaml")
     if file.suffix not in SUFFIXES:
@@ -153,7 +166,10 @@ def _scenario_file(template: str, file: Path | None) -> Path:
 
 
 def _texts(name: str, template: Template, scenario: Path) -> dict[Path, str]:
-    """Return the text of each file by its path; the files beside the scenario can be imported in Python."""
+    """Return the text of each new file, with the file's path as the key.
+
+    Files beside the scenario get names that Python can import.
+    """
     stem = re.sub(r"\W+", "_", scenario.stem)
     files = {f"{name}.yaml": scenario}
     files |= {source: scenario.with_name(named.format(stem)) for source, named in template.beside}
@@ -176,7 +192,8 @@ def _texts(name: str, template: Template, scenario: Path) -> dict[Path, str]:
 
 
 def _write(texts: dict[Path, str]) -> None:
-    """Write all files; write none of them if any of them exists."""
+    """Write all files, or write no file if any of them already exists."""
+    # Check all paths before the first file is written.
     for path in texts:
         if path.exists() or path.is_symlink():
             raise OutputError.of_file(path, "a file that is not there yet", "one that is")

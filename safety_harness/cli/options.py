@@ -1,4 +1,4 @@
-"""Define options and arguments that several commands share, and how a command is called and ends."""
+"""Define the options and arguments that several commands share, and a decorator for commands."""
 
 from __future__ import annotations
 
@@ -25,26 +25,31 @@ from safety_harness.cli.console import (
 
 Files = Annotated[
     list[Path],
-    Argument(help="Scenario files, suites, folders of *.yaml, or shipped:NAME (list).", metavar="FILE..."),
+    Argument(
+        help="Scenario files, suites, folders of *.yaml files, or shipped:NAME (a name that the "
+        "command list prints).",
+        metavar="FILE...",
+    ),
 ]
 KeepGoing = Annotated[
-    bool, Option("--keep-going", help="Report and count unusable inputs, and continue with the rest.")
+    bool, Option("--keep-going", help="Report and count unusable inputs, and continue with the other inputs.")
 ]
-Out = Annotated[Path, Option(help="Folder for report.html and traces/.")]
+Out = Annotated[Path, Option(help="Folder for report.html and the traces (traces/).")]
 OfAvoider = Annotated[
     str | None,
     Option(
-        help="An avoider in place of the files' own: mc-dropout, mc-dropout-full, deterministic, ensemble, "
-        "optimum, student, student-ensemble, 'opposite pose', 'nearest candidate', FILE.py:NAME, "
-        "FILE.safetensors, FILE.onnx, FILE.onnx:LAYOUT.",
+        help="The avoider that replaces the avoider of the files: mc-dropout, mc-dropout-full, "
+        "deterministic, ensemble, optimum, student, student-ensemble, 'opposite pose', 'nearest "
+        "candidate', FILE.py:NAME, FILE.safetensors, FILE.onnx, or FILE.onnx:LAYOUT.",
         metavar="AVOIDER",
     ),
 ]
 OfController = Annotated[
     str | None,
     Option(
-        help="A controller in place of the visual servo and its avoider: 'stop when near', "
-        "'learned policy', FILE.py:NAME, FILE.onnx, or a program (exec:COMMAND, tcp:HOST:PORT, unix:PATH).",
+        help="The controller that replaces the visual servo and its avoider: 'stop when near', "
+        "'learned policy', FILE.py:NAME, FILE.onnx, or a program (exec:COMMAND, tcp:HOST:PORT, "
+        "unix:PATH).",
         metavar="CONTROLLER",
     ),
 ]
@@ -52,7 +57,8 @@ OfFilter = Annotated[
     str | None,
     Option(
         "--safety-filter",
-        help="The safety filter of the trace, named again because it is executed: FILE.py:NAME or a program.",
+        help="The safety filter of the trace: FILE.py:NAME or a program. Required if the run used a "
+        "filter of yours, because the command executes the filter.",
         metavar="FILTER",
     ),
 ]
@@ -60,7 +66,8 @@ OfPredictor = Annotated[
     str | None,
     Option(
         "--predictor",
-        help="The predictor of the trace, named again because it is executed: FILE.py:NAME or a program.",
+        help="The predictor of the trace: FILE.py:NAME or a program. Required if the run used a "
+        "predictor of yours, because the command executes the predictor.",
         metavar="PREDICTOR",
     ),
 ]
@@ -68,8 +75,9 @@ OfReference = Annotated[
     str | None,
     Option(
         "--against",
-        help="A reference avoider or controller, or 'the unfiltered system', on the same draws; only "
-        "differences from it count.",
+        help="The reference to compare with on the same draws: an avoider, a controller, or 'the "
+        "unfiltered system'. The result then depends only on the differences between the two "
+        "systems.",
         metavar="REFERENCE",
     ),
 ]
@@ -77,18 +85,22 @@ OfWorld = Annotated[
     str | None,
     Option(
         "--world",
-        help="PyBullet, MuJoCo, kinematic or exec:SIMULATOR; without it the first that is installed.",
+        help="The world of the runs: PyBullet, MuJoCo, kinematic or exec:SIMULATOR. Default: the "
+        "first of PyBullet and MuJoCo that is installed, otherwise kinematic.",
         metavar="WORLD",
     ),
 ]
 OfReplays = Annotated[
     str | None,
-    Option("--world", help="The world of the replays; without it the kinematic world.", metavar="WORLD"),
+    Option("--world", help="The world of the replays. Default: the kinematic world.", metavar="WORLD"),
 ]
 OfWorldAgain = Annotated[
     str | None,
     Option(
-        "--world", help="The simulator of the trace, named again because it is executed.", metavar="WORLD"
+        "--world",
+        help="The simulator of the trace. Required if the run used your simulator, because the command"
+        " executes the simulator.",
+        metavar="WORLD",
     ),
 ]
 OfSpace = Annotated[Path, Argument(help="A scenario space: a file, or shipped:NAME.", metavar="SPACE")]
@@ -96,17 +108,25 @@ Confirm = Annotated[
     bool,
     Option(
         "--confirm",
-        help="Repeat each violation, and the run with the changed cause, in a reference too.",
+        help="Also repeat each violation in a reference world, once unchanged and once with the cause "
+        "changed.",
     ),
 ]
 AttributionOut = Annotated[
-    Path | None, Option(help="Folder for attribution.json and attribution.svg; none for neither.")
+    Path | None,
+    Option(help="Folder for attribution.json and attribution.svg. Without it, no file is written."),
 ]
-Executes = Annotated[bool, Option("--execute-programs", help="Allow the input's programs to be executed.")]
-Verbose = Annotated[bool, Option("--verbose", "-v", help="Print every line, not only what matters.")]
-Workers = Annotated[int | None, Option("--jobs", help="Processes; without it, one for each core.", min=1)]
-Seed = Annotated[int, Option(help="Root of every random number.", min=0)]
-_AsJson = Annotated[bool, Option("--json", help="One JSON document in place of lines for people.")]
+Executes = Annotated[
+    bool, Option("--execute-programs", help="Allow the command to execute the programs of the input.")
+]
+Verbose = Annotated[
+    bool, Option("--verbose", "-v", help="Print every line, not only the most important lines.")
+]
+Workers = Annotated[
+    int | None, Option("--jobs", help="Number of processes. Default: one for each core.", min=1)
+]
+Seed = Annotated[int, Option(help="Seed of all random numbers.", min=0)]
+_AsJson = Annotated[bool, Option("--json", help="Print one JSON document instead of lines for people.")]
 _Parameters = ParamSpec("_Parameters")
 
 
@@ -123,13 +143,14 @@ def command(
     then: str = "",
     json: bool = True,
 ) -> Callable[[Callable[_Parameters, int]], Callable[_Parameters, int]]:
-    """Return a decorator that makes a command of ``group`` from a function that returns an exit code.
+    """Return a decorator that registers a function as a command of ``group``.
 
-    A mistake of the user is explained, and the exit code is 2.  Any other error of the harness is explained
-    with the exit code ``failed``, or raised if ``failed`` is None.  After Ctrl-C the command prints
-    ``interrupted``, or raises KeyboardInterrupt if ``interrupted`` is empty.  The command has an option
-    --json only if ``json``.  After exit code 0 or 1, the command prints ``then``, the command that a user
-    most likely wants next.  Names of options in ``then`` are replaced by their values.
+    The function must return an exit code. If the user made a mistake, the command explains it and ends with
+    exit code 2. The command also explains any other error of the harness, and then ends with the exit code
+    ``failed``. If ``failed`` is None, the error is raised instead. After Ctrl-C, the command prints
+    ``interrupted``, or raises KeyboardInterrupt if ``interrupted`` is empty. The command has an option --json
+    only if ``json`` is true. After exit code 0 or 1, the command prints ``then``, which is the command that a
+    user most likely needs next. Names of options in braces within ``then`` are replaced by their values.
     """
 
     def registered(work: Callable[_Parameters, int]) -> Callable[_Parameters, int]:

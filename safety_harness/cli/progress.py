@@ -1,8 +1,9 @@
-"""Show the progress of long commands: changing lines on a terminal, elsewhere a line every ten seconds.
+"""Show the progress of long commands.
 
-"Elsewhere" is a pipe, a file, or a terminal that does not support escape codes.  There, a command prints a
-line at the start, at most every ten seconds, and at the end.  Each line states the finished share, and the
-remaining time unless code was compiled since the previous line.
+On a terminal, lines change in place, and anywhere else a new line appears every ten seconds.  "Anywhere else"
+means a pipe, a file, or a terminal without escape codes.  A command then prints a line at the start, further
+lines at intervals of at least ten seconds, and a line at the end.  Each line states the finished percentage.
+It also states the remaining time, unless code was compiled since the previous line.
 """
 
 from __future__ import annotations
@@ -24,19 +25,20 @@ from safety_harness.base.compiling import Pace, watchers
 from safety_harness.base.output import Output, where
 from safety_harness.cli.console import explain, no_escapes, result, say
 
-EVERY_S = 10.0
+EVERY_S = 10.0  # between two lines in a log; a choice
 
 
 def is_live() -> bool:
-    """Return whether lines on standard error may be redrawn."""
+    """Return whether lines on standard error may be redrawn in place."""
     return sys.stderr is not None and sys.stderr.isatty() and not no_escapes()
 
 
 @dataclass
 class PacedLines:
-    """A printer that prints a line when it is due.
+    """A printer that prints at most one line in ten seconds.
 
-    A newer line replaces a line that still waits; the last line is printed at the end.
+    A new line replaces an earlier line that was not yet printed, and the last line is always printed at the
+    end.
     """
 
     now_s: Callable[[], float] = time.monotonic
@@ -44,13 +46,13 @@ class PacedLines:
     _waiting: str = ""
 
     def take(self, line: str) -> None:
-        """Take ``line``, a line on the progress of a command, and print it if it is due."""
+        """Accept ``line``, a line on progress, and print it if the last printed line is old enough."""
         self._waiting = line
         if self.now_s() - self._said_s >= EVERY_S:
             self.end()
 
     def end(self) -> None:
-        """Print the line that still waits."""
+        """Print the latest line, unless it was already printed."""
         if self._waiting:
             say(self._waiting)
         self._waiting, self._said_s = "", self.now_s()
@@ -58,7 +60,10 @@ class PacedLines:
 
 @contextmanager
 def paced_lines() -> Iterator[Callable[[str], None]]:
-    """Yield a function that prints lines on progress: all of them on a terminal, few of them in a log."""
+    """Yield a function that prints lines on progress.
+
+    On a terminal it prints every line, and in a log only few lines.
+    """
     if is_live():
         yield say
         return
@@ -71,7 +76,11 @@ def paced_lines() -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def block() -> Iterator[Callable[[list[str]], None]]:
-    """Yield a function that redraws its lines on a terminal; elsewhere it prints the first line when due."""
+    """Yield a function that shows several lines.
+
+    On a terminal, the function redraws the lines in place. In a log, it prints only the first line, at most
+    once in ten seconds.
+    """
     if is_live():
         live = Live(**_shown(), refresh_per_second=4)
         with live, at_compilation(lambda: live.update(Text())):
@@ -82,14 +91,20 @@ def block() -> Iterator[Callable[[list[str]], None]]:
 
 
 def _shown() -> dict[str, Any]:
-    """Return settings of a display on standard error, which stays below results on the same terminal."""
+    """Return the settings of a live display on standard error.
+
+    If results go to the same terminal, they appear above the display.
+    """
     results = sys.stdout is not None and sys.stdout.isatty()
     return {"console": Console(stderr=True), "transient": True, "redirect_stdout": results}
 
 
 @contextmanager
 def counting(total: int, unit: str) -> Iterator[Callable[..., None]]:
-    """Yield a function that is called with the number of finished items and a message on the next step."""
+    """Yield a function that shows progress.
+
+    Its arguments are the number of finished items and a message on the next step.
+    """
     pace = Pace()
     if is_live():
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn(unit))
@@ -113,7 +128,7 @@ def counting(total: int, unit: str) -> Iterator[Callable[..., None]]:
 
 @contextmanager
 def at_compilation(clear: Callable[[], None]) -> Iterator[None]:
-    """Call ``clear`` after each compilation, because a remaining time that is still shown is then wrong."""
+    """Call ``clear`` after each compilation, which makes the displayed remaining time wrong."""
     watchers.append(watcher := lambda now: clear())
     try:
         yield
@@ -126,5 +141,8 @@ VERBOSE = replace(TERMINAL, detail=result)
 
 
 def terminal(verbose: bool) -> Output:
-    """Return the output of a command in a terminal; with ``verbose``, it also prints details of the work."""
+    """Return the output of a command in a terminal.
+
+    If ``verbose`` is true, this output also prints details.
+    """
     return VERBOSE if verbose else TERMINAL

@@ -1,4 +1,4 @@
-"""Define ``safety-harness replay``, which repeats a stored trace, and ``judge``, which judges it again."""
+"""Define ``safety-harness replay``, which repeats a stored run, and ``judge``, which judges it again."""
 
 from __future__ import annotations
 
@@ -42,11 +42,12 @@ from safety_harness.trace.unmeasured import refuse_not_simulated
 
 
 def replay(path: Path, avoider: str | None = None, world: str | None = None, **beside: str | None) -> int:
-    """Repeat a recorded run; print "identical" or the first step that differs; return the exit code.
+    """Repeat a recorded run, and print "identical" or the first step that differs.
 
-    The function also asks a second avoider the same questions, which reveals an avoider with a memory.
-    ``avoider``, ``world`` and ``beside``, the safety filter and the predictor, name the user's programs
-    again.  A stranger may have made the trace, so the trace itself must not choose what is executed.
+    Return the exit code. The function also asks a second avoider the same questions, to detect an avoider
+    that remembers earlier questions. ``avoider`` and ``world`` are the user's references to the programs of
+    the trace, and ``beside`` contains the references to the safety filter and the predictor. The user must
+    state them, because a trace from an untrusted source must not decide which program is executed.
     """
     stored = load_trace(path)
     refuse_not_simulated(stored, path)
@@ -69,6 +70,7 @@ def replay(path: Path, avoider: str | None = None, world: str | None = None, **b
     difference = first_difference(stored, fresh)
     then, now = stored.provenance, fresh.provenance
     may_differ = _of_earlier_arithmetic(then, now) or engine_elsewhere(then, now)
+    # Compare with a tolerance only if the arithmetic or an engine on another machine explains the difference.
     last_bits = difference is not None and may_differ
     deviation = first_difference(stored, fresh, CLOSE) if last_bits else difference
     if deviation is None:
@@ -98,7 +100,7 @@ def _of_earlier_arithmetic(then: Provenance, now: Provenance) -> bool:
 
 
 def _refuse_other(stored: Trace, admitted: Admitted, path: Path) -> None:
-    """Raise TraceError if the controller differs from the trace's, by its name or by its file's hash."""
+    """Raise TraceError if the controller has another name or file hash than in the trace."""
     then = stored.system.controller
     now = admitted.driver.component if admitted.driver else Component(name=VISUAL_SERVO)
     known = then.sha256 if admitted.driver else ""
@@ -113,12 +115,15 @@ def _named(now: Component, admitted: Admitted) -> str:
 
 
 def changes(first: Trace, repeated: Trace, difference: TraceDifference | None) -> list[str]:
-    """Return lines on software, machines and systems that changed since the trace, and what that implies.
+    """Return lines on changes since the trace was stored, and on the consequences of these changes.
+
+    The changes concern software, machines and the system under test.
 
     Args:
         first: The trace that was stored.
         repeated: The trace of the repeated run.
-        difference: The first difference between the two beyond the tolerance for last bits, if there is any.
+        difference: The first difference between the two traces that exceeds the tolerance for last bits, or
+            None.
 
     """
     stored, now = first.provenance, repeated.provenance
@@ -153,10 +158,11 @@ def judge_again(
     out: Path | None = None,
     verbose: bool = False,
 ) -> int:
-    """Judge stored traces and logs of cells by the present code, without simulating; return the exit code.
+    """Judge stored traces and logs of cells by the present code, without simulation.
 
-    ``sentences`` replace the claims of the files, and are expected to hold.  With ``keep_going``, files that
-    cannot be judged do not stop the others.  ``out`` is the folder for a report and for the traces of logs.
+    Return the exit code. ``sentences`` are claims that replace the claims of the files. The expected verdict
+    of these claims is "holds". If ``keep_going`` is true, a file that cannot be judged does not stop the
+    others. ``out`` is the folder for a report and for the traces of logs.
     """
     runs: list[JudgedRun] = []
     refused: list[InputError] = []

@@ -85,16 +85,20 @@ def run(
 
 
 def print_verdicts(runs: Sequence[JudgedRun], verbose: bool) -> None:
-    """Print a single run in full, and only the surprises of many runs.
+    """Print all verdicts of a single run, or only the unexpected verdicts of many runs.
 
-    With ``verbose``, print nothing, because every verdict was printed when its run ended.
+    If ``verbose`` is true, this function does not print, because every verdict was already printed at the end
+    of its run.
     """
     if not verbose:
         result(*(block_of(runs[0]) if len(runs) == 1 else surprise_lines(runs)))
 
 
 def _print_summary(finished: RunResult, verbose: bool) -> None:
-    """Print the verdicts, the untested claims, and a line of totals; with ``verbose``, print more details."""
+    """Print the verdicts, the untested claims, and a line of totals.
+
+    If ``verbose`` is true, print more details.
+    """
     coverage, traces = finished.coverage, [run.trace for run in finished.runs]
     if finished.against is None:
         print_verdicts(finished.runs, verbose)
@@ -106,7 +110,7 @@ def _print_summary(finished: RunResult, verbose: bool) -> None:
     say(*far_lines(coverage))
     if untested := untested_lines(coverage):
         say(f"error: {untested[0]}", *untested[1:])
-        say("  What hands do is drawn by: safety-harness show FILE")
+        say("  To see the motion of the hands: safety-harness show FILE")
     say(*[finished.basis if verbose else short_basis(finished.basis)] * bool(finished.runs))
     say(*(f"computing time: {line}" for line in took))
     say(*(f"shield: {line}" for line in shield_lines(traces)))
@@ -127,7 +131,11 @@ def _print_summary(finished: RunResult, verbose: bool) -> None:
 
 
 def _say_next(runs: Sequence[JudgedRun], out: Path) -> None:
-    """Print what to run next: an attribution of each avoider's violations, or else a view of the runs."""
+    """Print the command that the user most likely needs next.
+
+    If avoiders caused violations, this command attributes the violations of each avoider. Otherwise it shows
+    the runs.
+    """
     unexpected: dict[tuple[str, ...], list[JudgedRun]] = {}
     for run in runs:
         if any(

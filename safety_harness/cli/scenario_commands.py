@@ -44,28 +44,34 @@ def run(
     jobs: Workers = None,
     mcap: Annotated[
         bool,
-        Option("--mcap", help="Write each run as MCAP too, into a folder beside its trace, as export does."),
+        Option(
+            "--mcap",
+            help="Also write each run as an MCAP file, into a folder beside its trace, as the command "
+            "export does.",
+        ),
     ] = False,
     verbose: Verbose = False,
 ) -> int:
-    """Run scenario files in a world, judge claims, write a report.
+    """Run scenario files, judge their claims, and write a report.
 
-    A single run prints its claims, worst first. Many runs print unexpected
-    verdicts, undecided claims and a line of totals; --verbose prints each verdict
-    with margin and worst moment, and how many runs tested each claim.
+    For a single run, the command prints all claims, the worst first. For several runs, it prints the
+    unexpected verdicts, the undecided claims and a line of totals. With --verbose, it prints each verdict
+    with its margin and worst moment, and the number of runs that tested each claim.
 
-    The command executes a program that a file uses as avoider or controller, and
-    reports it on standard error. It judges in every run whether the avoider
-    answered. It skips and counts a scenario with a workspace that --avoider or
-    --against cannot serve. Eight or more shipped runs use several processes
-    (--jobs), with the same traces bit for bit.
+    If a file uses a program as its avoider or controller, the command executes the program and reports this
+    on standard error. In every run, the command also checks whether the avoider answered. If the avoider of
+    --avoider or --against is unsuitable for the workspace of a scenario, the command skips the scenario and
+    counts it. If at least eight runs execute no program of yours, the command distributes these runs over
+    several processes (--jobs). The traces are the same, bit for bit, as in a single process.
 
-    Exit code 0: every verdict as its file expects; with --against, no new or
-    deeper violation and no lost verdict.
-    Exit code 1: otherwise, or a failed run; without --against also a skipped
-    scenario, or an expected verdict on a claim that no run tested.
-    Exit code 2: bad input; with --keep-going the command runs the rest.
-    Exit code 130: interrupted, with all finished runs.
+    Exit code 0: every verdict is as its file expects; with --against, no violation is new or deeper, and no
+    verdict is lost.
+    Exit code 1: a run failed, or the avoider gave two different answers to the same question.
+    Exit code 1 too: without --against: a verdict is not as expected, a scenario was skipped, or no run tested
+    a claim with an expected verdict.
+    Exit code 1 too: with --against: a violation is new or deeper, or a verdict is lost.
+    Exit code 2: bad input; with --keep-going, the other inputs still run.
+    Exit code 130: interrupted; the report has all finished runs.
     """
     from safety_harness.cell.simulation.worlds import world_named
     from safety_harness.cli.run import run as run_files
@@ -88,9 +94,9 @@ def run(
 def validate(files: Files, avoider: OfAvoider = None, controller: OfController = None) -> int:
     """Check scenario files, spaces and plans without running them.
 
-    The command executes no file: it parses a Python file, and reads the metadata of an ONNX file.
-    A line "ok FILE: ..." goes to standard output for each runnable file. Mistakes go to standard error with
-    file, line, expected and got.
+    The command executes no file: it parses Python files, and it reads the metadata of ONNX files. For each
+    file that can run, it prints a line "ok FILE: ..." on standard output. It prints each mistake on standard
+    error, with the file, the line, the expected value and the actual value.
 
     Exit code 0: all files can run.
     Exit code 2: a file cannot run.
@@ -105,19 +111,22 @@ def validate(files: Files, avoider: OfAvoider = None, controller: OfController =
 @command(commands, then="safety-harness validate {files}")
 def fmt(
     files: Files,
-    check: Annotated[bool, Option("--check", help="Change nothing; only say what would change.")] = False,
+    check: Annotated[
+        bool, Option("--check", help="Change no file; only print the files that would change.")
+    ] = False,
     modernise: Annotated[
-        bool, Option("--modernise", help="Rewrite keys and claims of earlier releases in today's words.")
+        bool,
+        Option("--modernise", help="Also replace keys and claims of earlier releases by their present form."),
     ] = False,
 ) -> int:
-    """Lay scenario files out in the standard layout.
+    """Rewrite scenario files in the standard layout.
 
-    The layout sets the order of keys, indentation and quotes. Comments and your units stay, and so does the
-    meaning of the file.
+    The layout determines the order of the keys, the indentation and the quotes. The comments, the units and
+    the meaning of the file stay the same.
 
-    Exit code 0: the files have the layout.
+    Exit code 0: all files have the standard layout.
     Exit code 1: with --check, a file would change.
-    Exit code 2: a file cannot be read; the command lays out the rest.
+    Exit code 2: a file cannot be read; the command still rewrites the other files.
     """
     from safety_harness.cli.fmt import format_files
 
@@ -127,19 +136,25 @@ def fmt(
 @command(commands)
 def explain(
     key: Annotated[
-        list[str] | None, Argument(help="A key, such as: critical distance; or a plan's file.")
+        list[str] | None,
+        Argument(
+            help="A key (for example: critical distance), or the file of a plan. Without it, all keys are "
+            "listed."
+        ),
     ] = None,
 ) -> int:
     """Explain a key of scenario files, or a plan.
 
-    For a key: its meaning, unit, bounds, default and an example. For a plan: the number of bounds that it
-    shows, and for each target the tested runs that it takes and the violations that the planned runs allow.
-    There are no runs.
-    A key in several places has an explanation for each; "camera.rate" selects one place.
-    Without a key, the command lists all keys.
+    For a key, the command prints its meaning, unit, bounds, default and an example. If the key occurs in
+    several places, the command explains it for each place. A longer name such as "camera.rate" selects one
+    place. Without a key, the command lists all keys.
 
-    Exit code 0: explained.
-    Exit code 2: an unknown key.
+    For a plan, the command prints the number of bounds that the plan shows. For each target, it also prints
+    how many tested runs are necessary, and how many violations the planned runs allow. The command does not
+    simulate any run.
+
+    Exit code 0: the explanation is printed.
+    Exit code 2: an unknown key, or a plan that cannot be used.
     """
     from safety_harness.base.shipped.contents import located
     from safety_harness.cli.explain import explain_key
@@ -154,16 +169,22 @@ def explain(
 @command(commands)
 def claims(
     phrases: Annotated[
-        list[str] | None, Argument(help="A claim, or words of it, such as: hand distance.", metavar="WORDS")
+        list[str] | None,
+        Argument(
+            help="A claim, or some of its words (for example: hand distance). Without it, all claims are "
+            "listed.",
+            metavar="WORDS",
+        ),
     ] = None,
 ) -> int:
     """List the claims about a run, or explain some of them.
 
-    The explanation has the reason, margin, parameters, and the condition under which a run tests the claim.
-    A whole claim is explained by the entry that understands it. Without words, the command lists all claims.
+    The explanation of a claim states the reason, the margin, the parameters, and the condition under which a
+    run tests the claim. If you type a whole claim, with your own limit, the command explains the matching
+    entry of the catalogue. Without words, the command lists all claims.
 
-    Exit code 0: listed or explained.
-    Exit code 2: the catalogue has no claim with these words.
+    Exit code 0: the claims are listed or explained.
+    Exit code 2: no claim of the catalogue has these words.
     """
     from safety_harness.cli.explain import explain_claims
 
@@ -172,13 +193,16 @@ def claims(
 
 @command(commands, json=False)
 def schema(
-    plans: Annotated[bool, Option("--plan", help="Of plans, in place of scenario files.")] = False,
+    plans: Annotated[
+        bool, Option("--plan", help="Print the schema of plans instead of the schema of scenario files.")
+    ] = False,
 ) -> int:
     """Print the JSON Schema (draft 2020-12) of scenario files.
 
-    Editors check your files by it while you type. The repository has both schemas in docs/schema.
+    An editor with this schema can check your files while you type. The repository contains the schemas of
+    scenarios and plans in docs/schema.
 
-    Exit code 0: printed.
+    Exit code 0: the schema is printed.
     """
     import json
 
@@ -197,22 +221,23 @@ def schema(
 
 @command(commands, then="safety-harness judge {trace}")
 def replay(
-    trace: Annotated[Path, Argument(help="A .trace file of an earlier run.", metavar="TRACE")],
+    trace: Annotated[Path, Argument(help="The .trace file of an earlier run.", metavar="TRACE")],
     avoider: OfAvoider = None,
     controller: OfController = None,
     safety_filter: OfFilter = None,
     predictor: OfPredictor = None,
     world: OfWorldAgain = None,
 ) -> int:
-    """Repeat a recorded run bit by bit.
+    """Repeat a recorded run, and compare it bit by bit.
 
-    The answer is "identical", or the first step that differs.
-    If a program of yours made the trace, name that program by --avoider, --controller, --safety-filter,
-    --predictor or --world, because the replay executes it. A part with another hash is refused.
+    The command prints "identical", or the first step that differs. If the run used a program of yours, pass
+    the program again by --avoider, --controller, --safety-filter, --predictor or --world, because the replay
+    executes it. The command rejects a program whose hash differs from the hash in the trace.
 
-    Exit code 0: identical.
-    Exit code 1: it differs.
-    Exit code 2: the trace cannot be read.
+    Exit code 0: the runs are identical, or differ only in their last bits because of another machine or
+    version.
+    Exit code 1: the runs differ, or the avoider gave two different answers to the same question.
+    Exit code 2: the trace cannot be read, or a program is missing or has changed.
     Exit code 130: interrupted.
     """
     from safety_harness.admission.avoiders import one_of
@@ -231,20 +256,29 @@ def judge(
     claim: Annotated[
         list[str] | None,
         Option(
-            help="In place of the traces' own: a sentence of the catalogue or a formula, such as 'always "
-            "hand distance > 30 mm', expected to hold. May be repeated.",
+            help="A claim to judge instead of the claims in the files. It is a sentence of the catalogue, "
+            "or a formula such as 'always hand distance > 30 mm', and it is expected to hold. May be "
+            "repeated.",
             metavar="SENTENCE",
         ),
     ] = None,
     keep_going: KeepGoing = False,
     out: Annotated[
-        Path | None, Option(help="Folder for report.html, report.json and the traces of logs.")
+        Path | None,
+        Option(
+            help="Folder for report.html, report.json and the traces of logs. Without it, no file is written."
+        ),
     ] = None,
     verbose: Verbose = False,
 ) -> int:
-    """Judge stored traces, or logs of a real cell, by their claims, or by others, without simulating.
+    """Judge stored traces, or logs of a real cell, without a simulation.
 
-    Exit codes as for run.
+    The command judges the claims in the files, or the claims of --claim instead.
+
+    Exit code 0: every verdict is as expected.
+    Exit code 1: a verdict is not as expected, or no claim of a run applies to its controller.
+    Exit code 2: bad input; with --keep-going, the other inputs are still judged.
+    Exit code 130: interrupted.
     """
     from safety_harness.cli.replay import judge_again
 
@@ -254,20 +288,24 @@ def judge(
 @command(commands, interrupted="interrupted: nothing was written")
 def view(
     trace: Annotated[
-        Path, Argument(help="A trace of an earlier run, or the description of a log.", metavar="TRACE")
+        Path,
+        Argument(help="A trace of an earlier run, or the description of a log (LOG.yaml).", metavar="TRACE"),
     ],
     second: Annotated[
-        Path | None, Argument(help="Another one, to be shown beside it in step.", metavar="TRACE")
+        Path | None,
+        Argument(help="A second trace or log, shown beside the first at the same times.", metavar="TRACE"),
     ] = None,
-    out: Annotated[Path | None, Option(help="The page. Default: reports/view/NAME.html.")] = None,
+    out: Annotated[
+        Path | None, Option(help="The HTML page to write. Default: reports/view/NAME.html.")
+    ] = None,
     opens: Annotated[bool, Option("--open/--no-open", help="Open the page in the browser.")] = True,
 ) -> int:
-    """Show a stored run in 3-D, or two side by side in step.
+    """Show a stored run in 3-D, or two runs side by side.
 
-    The command writes one page and opens it. Useful pairs are an avoider and its reference, a run with a
-    shield and a run without, or a simulated and a recorded run.
-    The command only judges claims again, without simulation and without programs. For a log, the page omits
-    the parts that were not measured, and names them.
+    The command writes one HTML page and opens it. Useful pairs are an avoider and its reference, a run with a
+    shield and a run without it, or a simulated and a recorded run. The command judges the claims again, but
+    it does not simulate and executes no program. For a log, the page leaves out the parts that were not
+    measured, and lists them.
 
     Exit code 0: the page is written.
     Exit code 2: the trace or log cannot be read.
@@ -280,18 +318,20 @@ def view(
 
 @command(commands, interrupted="interrupted: this picture and those after it were not drawn")
 def show(
-    files: Annotated[list[Path], Argument(help="Scenario files or spaces.", metavar="FILE...")],
-    out: Annotated[Path, Option(help="Folder for pictures (SVG), or the picture of one file.")] = Path(
-        "reports/show"
-    ),
-    draws: Annotated[int, Option(help="Draws of a space in its picture.", min=1)] = 200,
+    files: Annotated[
+        list[Path], Argument(help="Scenario files, spaces, suites or folders.", metavar="FILE...")
+    ],
+    out: Annotated[
+        Path, Option(help="Folder for the pictures (SVG), or an SVG file for a single picture.")
+    ] = Path("reports/show"),
+    draws: Annotated[int, Option(help="Number of draws in the picture of a space.", min=1)] = 200,
     seed: Seed = 0,
 ) -> int:
     """Draw the scenarios of a file without running them.
 
-    The picture has hands, TCP start, regions and the camera's view.
+    The picture shows the hands, the TCP start, the regions and the camera's view.
 
-    Exit code 0: drawn.
+    Exit code 0: all pictures are drawn.
     Exit code 2: bad input.
     Exit code 130: interrupted.
     """
@@ -308,15 +348,15 @@ def show(
 def sample(
     space: OfSpace,
     out: Annotated[Path, Option(help="Folder for the scenario files.")] = Path("reports/sample"),
-    count: Annotated[int, Option(help="How many that can be tried.")] = 10,
+    count: Annotated[int, Option(help="Number of admissible scenarios to draw, from 1 to 100,000.")] = 10,
     seed: Seed = 0,
 ) -> int:
-    """Draw independent scenarios from a space, each as a file.
+    """Draw independent scenarios from a space, and write each to a file.
 
-    The command run takes these files. An inadmissible draw (a start out of reach, ...) is counted, reported
-    and drawn again.
+    The command run accepts the files. If a draw is inadmissible, for example because the arm cannot reach its
+    start, the command draws again, and it prints the number of such draws.
 
-    Exit code 0: drawn.
+    Exit code 0: all scenarios are drawn.
     Exit code 2: bad input, or a space with almost no admissible draw.
     Exit code 130: interrupted.
     """
@@ -329,7 +369,11 @@ def sample(
 def attribute(
     runs: Annotated[
         list[Path],
-        Argument(help="Scenario files, such as fuzz writes, traces, or folders of them.", metavar="RUN..."),
+        Argument(
+            help="Scenario files (for example, the files that fuzz writes), traces, or folders with such "
+            "files.",
+            metavar="RUN...",
+        ),
     ],
     avoider: OfAvoider = None,
     controller: OfController = None,
@@ -339,18 +383,22 @@ def attribute(
     confirm: Confirm = False,
     world: OfReplays = None,
 ) -> int:
-    """Find the ingredient that caused each violation.
+    """Find the part of the system that caused each violation.
 
-    The command repeats the run with one ingredient changed, then two. It changes the avoider, its deadline,
-    perception, drives and brakes, the servoing camera, prediction, the gate, the fallback and the critical
-    distance. Last it halves the speed of the hand. A violation that no arm could have avoided is unavoidable.
-    For a trace the command attributes all its violations; for a scenario file, all that the unchanged replay
-    violates. Replays run in the kinematic world, or in --world. Name the program that made a trace again.
-    For a controller other than the visual servo, the command omits the ingredients that it does not have.
+    The command repeats the run with one ingredient of the system changed, and then with two. The ingredients
+    are the avoider, its deadline, perception, drives and brakes, the servoing camera, prediction, the gate,
+    the fallback, the critical distance, and the speed of the hand, which the command halves. If no arm could
+    have avoided a violation, the command reports the violation as unavoidable. For a controller other than
+    the visual servo, the command leaves out the ingredients that this controller does not have.
 
-    Exit code 0: every violation has an answer.
+    From a trace, the command attributes all violations. From a scenario file, it attributes all violations of
+    the unchanged replay. The replays run in the kinematic world, or in the world of --world. If the run of a
+    trace used a program, you must pass the program again.
+
+    Exit code 0: for each violation, the command found a cause, or the answer "unavoidable" or "helped by
+    nothing tried".
     Exit code 1: the unchanged replay fails, or does not show a violation.
-    Exit code 2: bad input, without a run.
+    Exit code 2: bad input; the command repeated no run.
     Exit code 130: interrupted.
     """
     from safety_harness.admission.avoiders import one_of

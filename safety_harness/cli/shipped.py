@@ -39,13 +39,18 @@ REFERRING = (
 
 
 @command(commands, "list", then="safety-harness copy shipped:NAME")
-def list_shipped(kind: Annotated[ShippedKind | None, Argument(help="Only these.")] = None) -> int:
+def list_shipped(
+    kind: Annotated[
+        ShippedKind | None, Argument(help="The kind of files to list. Without it, all kinds are listed.")
+    ] = None,
+) -> int:
     """List the scenarios, spaces and other files of the package.
 
-    The list also has plans, examples, recordings and robots, one a line. Each has a name, shipped:NAME, which
-    stands for its file wherever a command takes a file. shipped:scenarios and so on stand for their folders.
+    The list also contains plans, examples, recordings and robots, with one name per line. You can use a name
+    such as shipped:NAME wherever a command accepts a file. A name such as shipped:scenarios stands for a
+    folder.
 
-    Exit code 0: printed.
+    Exit code 0: the list is printed.
     """
     files = [file for file in shipped_files() if kind in (None, file.kind)]
     document(
@@ -64,23 +69,26 @@ def list_shipped(kind: Annotated[ShippedKind | None, Argument(help="Only these."
 
 @command(commands)
 def copy(
-    name: Annotated[str, Argument(help="What is listed by safety-harness list.", metavar="shipped:NAME")],
-    folder: Annotated[Path, Argument(help="Where to.")] = Path(),
-    overwrite: Annotated[bool, Option("--overwrite", help="Also over files that are otherwise.")] = False,
+    name: Annotated[str, Argument(help="A name that the command list prints.", metavar="shipped:NAME")],
+    folder: Annotated[Path, Argument(help="Folder for the copies.")] = Path(),
+    overwrite: Annotated[
+        bool, Option("--overwrite", help="Replace existing files that have another content.")
+    ] = False,
 ) -> int:
-    """Copy a shipped file, with the files that it refers to.
+    """Copy a shipped file and all files to which it refers.
 
-    You can then edit the copies. They keep their relative places. The path of each copy goes to standard
-    output, the requested file first.
+    You can then edit the copies. They have the same places relative to each other as the shipped files. The
+    command prints the path of each copy on standard output, beginning with the requested file.
 
-    Exit code 0: copied.
-    Exit code 2: an unknown name, or another file in the place of a copy; the command copies no file then.
+    Exit code 0: the files are copied.
+    Exit code 2: an unknown name, or an existing file with another content; the command then copies no file.
     """
     from safety_harness.base.whole_file import writing
     from safety_harness.scenario.kinds import FileKind, kind_of
 
     source = located(name if is_shipped(name) else PREFIX + name)
     copies = {folder / relative: path.read_bytes() for relative, path in _with_references(source).items()}
+    # Check all paths before the first file is written.
     for path, data in copies.items():
         if path.exists() and not overwrite and not (path.is_file() and path.read_bytes() == data):
             got = "another one; nothing was copied"
@@ -98,7 +106,10 @@ def copy(
 
 
 def _with_references(source: Path) -> dict[Path, Path]:
-    """Return ``source``, all files that it refers to, and their licences, by their relative paths."""
+    """Return ``source``, all files that it refers to, and their licences.
+
+    The keys are relative paths.
+    """
     import os
 
     waiting = sorted(source.rglob("*")) if source.is_dir() else [source]
@@ -110,12 +121,13 @@ def _with_references(source: Path) -> dict[Path, Path]:
             waiting += _references(path) if path.suffix == ".yaml" else ()
     licences = {path.with_name("LICENSE"): None for path in references}  # the licences of recordings
     references |= {path: None for path in licences if path.is_file()}
+    # The common folder, so that the places of the copies relative to each other stay the same.
     root = Path(os.path.commonpath([source.parent, *(path.parent for path in references)]))
     return {path.relative_to(root): path for path in references}
 
 
 def _references(path: Path) -> Iterator[Path]:
-    """Yield the files that the YAML file ``path`` names in its texts."""
+    """Yield the shipped files to which the texts of the YAML file ``path`` refer."""
     from safety_harness.scenario.nodes import parse_tree, references_in
     from safety_harness.scenario.references import file_and_name
 
@@ -129,16 +141,22 @@ def _references(path: Path) -> Iterator[Path]:
 @command(commands)
 def docs(
     section: Annotated[
-        list[str] | None, Argument(help="A page, page#section, or words of a heading: claims, say.")
+        list[str] | None,
+        Argument(
+            help="A page, page#section, or words of a heading, for example: claims. Without it, the first "
+            "page."
+        ),
     ] = None,
-    where: Annotated[bool, Option("--where", help="Only print where it is; open nothing.")] = False,
+    where: Annotated[
+        bool, Option("--where", help="Only print the path of the page, and do not open the page.")
+    ] = False,
 ) -> int:
     """Open the package's documents in a browser.
 
-    Where they were not built as a site, a terminal shows the section as text. The path goes to standard
-    output; without a terminal that is all.
+    The command prints the path of the page on standard output. On a terminal, it then opens the page in a
+    browser. If the documents were not built as a site, it shows the section as text in the terminal instead.
 
-    Exit code 0: there is the page.
+    Exit code 0: the page exists.
     Exit code 2: an unknown section.
     """
     from safety_harness.base.shipped.documents import Section, path_of, section_named, text_of
@@ -159,7 +177,7 @@ def docs(
 
 
 def _show(text: str) -> None:
-    """Show a text in Markdown on the terminal."""
+    """Show a Markdown text on the terminal."""
     from rich.console import Console
     from rich.markdown import Markdown
 

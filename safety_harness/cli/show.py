@@ -1,4 +1,4 @@
-"""Define ``show``, which draws the scenarios of a file, and ``sample``, which writes draws of a space."""
+"""Define ``show``, which draws the scenarios of a file, and ``sample``, which writes random scenarios."""
 
 from __future__ import annotations
 
@@ -29,11 +29,13 @@ PICTURE = ".svg"
 
 
 def show(files: Sequence[Path], *, out: Path, draws: int, seed: int) -> int:
-    """Draw one picture for each scenario and one for each space with several draws; return the exit code.
+    """Draw one picture per scenario, and one picture per space with several of its draws.
+
+    Return the exit code.
 
     Args:
         files: scenario files, spaces, suites or folders.
-        out: the folder to write into, or an SVG file for a single picture.
+        out: the folder for the pictures, or an SVG file for a single picture.
         draws: the number of admissible draws of each space.
         seed: the seed of the draws.
 
@@ -102,7 +104,7 @@ def _draw(path: Path, scenarios: Sequence[Scenario], title: str, regions: Boxes 
 
 
 def regions_of(space: ScenarioSpace) -> list[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
-    """Return name, low corner and high corner [m, base frame] of each box and region of a space."""
+    """Return the name, the low corner and the high corner [m, base frame] of each box of a space."""
     corners: dict[tuple[object, ...], tuple[str, NDArray[np.float64], NDArray[np.float64]]] = {}
     desired = np.array(space.simplest.settings.cell.desired_tcp_position_in_base_m)
     for parameter in space.parameters:

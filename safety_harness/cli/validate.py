@@ -46,7 +46,10 @@ _CHANGE_WHAT_IS_TESTED = frozenset({*TESTED, "robot", "settings", "camera"})
 
 
 def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
-    """Print a line for each usable file and all mistakes of the other files, and return the exit code."""
+    """Print a line for each usable file, and all mistakes in the other files.
+
+    Return the exit code.
+    """
     added = [path for path in paths if _is_added(located(path))]
     scenario_paths = [path for path in paths if path not in added]
     try:
@@ -129,7 +132,10 @@ def _checked(path: Path, checker: Checker) -> tuple[InputFile, CheckedFile]:
 
 
 def _whole(read: Callable[[], _Made]) -> _Made:
-    """Return what ``read`` returns; raise InputErrors with every mistake that ``read`` finds."""
+    """Return the result of ``read``.
+
+    Raise InputErrors with all mistakes that ``read`` found, if there are any.
+    """
     with every_mistake() as mistakes:
         made = read()
     if mistakes:
@@ -138,7 +144,10 @@ def _whole(read: Callable[[], _Made]) -> _Made:
 
 
 def _tried_space(variant_file: tuple[Variant, Path], checker: Checker, avoider: str | None) -> ScenarioSpace:
-    """Return the space after checking one admissible draw of it, for which ``avoider`` may be used."""
+    """Check one admissible draw of a space, and return the space.
+
+    If ``avoider`` is given, it is checked as the draw's avoider.
+    """
     variant, file = variant_file
     space = space_of(variant.tree, file, name=variant.name)
     (drawn,) = draw_admissible(space, seed=0, count=1).scenarios
@@ -156,7 +165,10 @@ def _untried_of(space: ScenarioSpace) -> list[str]:
 
 
 def _untried(checked: Sequence[Checked], *spaces: ScenarioSpace) -> list[str]:
-    """Return lines on the moves and faults that no scenario tries while the arm stands still at its start."""
+    """Return lines that list moves and faults.
+
+    No scenario would exercise them if the arm stood still.
+    """
     tried = TriedParts()
     for draw in checked:
         tried.suppose(draw.scenario, links_in_base(draw.arm, draw.joint_position_rad)[-1, :3, 3].copy())
@@ -174,7 +186,7 @@ def _data(scenario: Scenario) -> dict[str, object]:
 
 
 def _content_text(scenarios: Sequence[Scenario]) -> str:
-    """Return the content of a file, such as ``2 hands, 3 claims, 8 s``.
+    """Return a text on the content of a file, such as ``2 hands, 3 claims, 8 s``.
 
     For a matrix, the text also states the number of scenarios.
     """

@@ -1,4 +1,4 @@
-"""Define ``safety-harness view``, which shows a stored run in 3-D, or two runs side by side in step."""
+"""Define ``safety-harness view``, which shows one stored run in 3-D or two runs side by side."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ PAGE = ".html"
 
 
 def view(paths: Sequence[Path], out: Path | None, *, opens: bool) -> int:
-    """Write the page of one or two stored runs, open it if ``opens``, and return the exit code."""
+    """Write a page that shows one or two stored runs, and return the exit code.
+
+    If ``opens`` is true, open the page in a browser.
+    """
     file = out or Path("reports/view") / f"{'-and-'.join(path.stem for path in paths)}{PAGE}"
     if file.suffix != PAGE:
         raise TraceError.of_option("--out", f"a file{PAGE}", str(file))

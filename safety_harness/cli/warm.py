@@ -101,7 +101,7 @@ def _report_cache() -> int:
 
 
 def machine_code_bytes() -> int:
-    """Return the size [byte] of all machine code, including the code of other versions."""
+    """Return the size [byte] of all stored machine code, including the code of other versions."""
     return sum(file.stat().st_size for folder in machine_code() for file in folder.rglob("*.nb?"))
 
 

@@ -1,4 +1,7 @@
-"""Write one self-contained HTML file about one or several runs; the template only inserts plain values."""
+"""Write one self-contained HTML file about one or several runs.
+
+The template inserts values without further computation.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +21,7 @@ from safety_harness.admission.claims import property_of
 from safety_harness.base.exceptions import refuse_other_type
 from safety_harness.base.proportions import share_words
 from safety_harness.base.whole_file import write_whole
+from safety_harness.claims.properties.catalogue import entry_claimed
 from safety_harness.claims.properties.protective_separation import ProtectiveSeparation
 from safety_harness.report.decisions import (
     MOST_DECISION_ROWS,
@@ -84,10 +88,12 @@ def write_report(
     generated_at: datetime,
     **facts: Unpack[AboutRuns],
 ) -> None:
-    """Write the report on ``runs`` to ``path`` in full or not at all; the page needs no network.
+    """Write the report on ``runs`` to ``path``, either completely or not at all.
+
+    The page needs no network.
 
     Args:
-        path: The file to write; missing folders are created.
+        path: The file to write. The function creates missing folders.
         runs: The judged runs.
         title: The heading of the page.
         command: The command line that wrote the report.
@@ -119,7 +125,10 @@ def render(
     generated_at: datetime,
     **given_facts: Unpack[AboutRuns],
 ) -> str:
-    """Return the page as text; the same arguments always result in the same bytes."""
+    """Return the page as text.
+
+    The same arguments always result in the same bytes.
+    """
     facts = with_defaults(given_facts)
     summary = _summary(runs, whole=not (interrupted or facts["skipped"] or facts["refused"]))
     summary["interrupted"] = interrupted
@@ -161,9 +170,9 @@ def render(
 
 
 def _worst(sections: Sequence[Row]) -> Row | None:
-    """Return the worst violation among the drawn runs, with a picture of its moment.
+    """Return the worst violation among the drawn runs, and a picture of the moment of this violation.
 
-    An unexpected violation ranks before an expected one.
+    An unexpected violation ranks before an expected violation.
     """
     violated = [
         ((row["as_expected"], section["run"].shown_claim() != row["number"] - 1), section, row)
@@ -180,7 +189,10 @@ def _worst(sections: Sequence[Row]) -> Row | None:
 
 
 def _summary(runs: Sequence[JudgedRun], *, whole: bool) -> Row:
-    """Return the counts over all runs for the top of the page; ``whole`` if no planned run is missing."""
+    """Return the counts over all runs for the top of the page.
+
+    ``whole`` is True if no planned run is missing.
+    """
     traces = [run.trace for run in runs]
     summary: Row = {
         "runs": len(runs),
@@ -210,7 +222,10 @@ def _summary(runs: Sequence[JudgedRun], *, whole: bool) -> Row:
 
 
 def _doubt(summary: Row) -> str:
-    """Return a remark that inconclusive claims are no evidence; empty if there are none."""
+    """Return a remark that inconclusive claims are no evidence.
+
+    The text is empty if no claim is inconclusive.
+    """
     if not summary["inconclusive"]:
         return ""
     unmeasured = summary["unmeasured"]
@@ -221,7 +236,10 @@ def _doubt(summary: Row) -> str:
 
 
 def _in_full(runs: Sequence[JudgedRun]) -> list[bool]:
-    """Return for each run whether to draw it; surprises, then worst runs, then violations have priority."""
+    """Decide which runs the report draws, and return a truth value for each run.
+
+    Runs with unexpected results have priority, then the worst run of each claim, then violations.
+    """
     margins: dict[str, tuple[float, int]] = {}
     for k, run in enumerate(runs):
         for claim, evaluation in run.judged_claims():
@@ -244,16 +262,20 @@ def _in_full(runs: Sequence[JudgedRun]) -> list[bool]:
 
 
 def _tabled(sections: Sequence[Row]) -> list[tuple[bool, Sequence[Row]]]:
-    """Return the first rows of the verdict table, then the rest, as pairs (whether read later, sections)."""
+    """Divide the sections for the table of verdicts into a first part and the remaining part.
+
+    Each part is a pair (later, sections), where ``later`` states whether the browser reads the part later.
+    """
     rows = np.cumsum([len(section["claims"]) for section in sections])
     first = int(np.searchsorted(rows, MOST_AT_ONCE)) + 1
     return [(later, part) for later, part in ((False, sections[:first]), (True, sections[first:])) if part]
 
 
 def _parted(sections: Sequence[Row]) -> list[tuple[bool, Sequence[Row]]]:
-    """Return the sections in order, in parts: pairs (whether the browser reads the part later, part).
+    """Divide the sections into parts, and keep their order.
 
-    The browser reads drawn runs at once.
+    Each part is a pair (later, sections), where ``later`` states whether the browser reads the part later.
+    The browser reads the drawn runs at once.
     """
 
     def part(section: Row) -> tuple[int, bool]:
@@ -264,7 +286,10 @@ def _parted(sections: Sequence[Row]) -> list[tuple[bool, Sequence[Row]]]:
 
 
 def _section(run: JudgedRun, number: int, replays: Replays | None) -> Row:
-    """Return the values of a run's section; the section of a drawn run needs the page's ``replays``."""
+    """Return the values of a run's section.
+
+    If the report draws the run, ``replays`` has the page's replays. Otherwise, ``replays`` is None.
+    """
     run = replace(run, trace=as_measured(run.trace))
     counts = [f"{run.count(verdict)} {verdict.value}" for verdict in Verdict if run.count(verdict)]
     section = {
@@ -285,7 +310,7 @@ def _section(run: JudgedRun, number: int, replays: Replays | None) -> Row:
 
 
 def _drawn(run: JudgedRun, section: str, replays: Replays) -> Row:
-    """Return the additional values of a run that is drawn."""
+    """Return the additional values of a run that the report draws."""
     trace = run.trace
     drawn = len(trace.ticks) > 0
     moment = shown_moment(run)
@@ -344,10 +369,13 @@ def claim_rows(run: JudgedRun) -> list[Row]:
 
 
 def _terms_of_separation(trace: Trace, claim: Claim) -> list[tuple[str, str, str]]:
-    """Return symbol, length and assumption of each term of the protective separation that a claim requires.
+    """Return the terms of the protective separation that a claim requires.
 
-    The list is empty for a claim without such terms.
+    Each term has a symbol, a length and an assumption. The list is empty for a claim without such terms.
     """
+    meant = entry_claimed(claim.sentence)
+    if meant is None or not isinstance(meant[0].prop, ProtectiveSeparation):
+        return []
     claimed = property_of(claim, trace.scenario)
     worst = claimed.worst(trace) if isinstance(claimed, ProtectiveSeparation) else None
     terms = () if worst is None else worst.terms
@@ -355,9 +383,10 @@ def _terms_of_separation(trace: Trace, claim: Claim) -> list[tuple[str, str, str
 
 
 def file_name(run: JudgedRun) -> str:
-    """Return the name of the scenario's file and its row of a matrix.
+    """Return the name of the scenario's file.
 
-    Without a file, return the name of the scenario.
+    If the file has a matrix, add the scenario's combination to the name. If the scenario has no file, return
+    the scenario's name.
     """
     scenario = run.trace.scenario
     if scenario.file is None:
@@ -367,7 +396,10 @@ def file_name(run: JudgedRun) -> str:
 
 
 def _ticks_rows(trace: Trace, name: str, masks: dict[str, NDArray[np.bool_]]) -> list[Row]:
-    """Return a row for each mask that is true at a measured tick of ``name``: count, share, first time."""
+    """Return a row for each mask that is true at some tick at which ``name`` was measured.
+
+    A row has the number of these ticks, their percentage, and the first time.
+    """
     there = measured(trace, name)
     return [
         {
@@ -382,13 +414,13 @@ def _ticks_rows(trace: Trace, name: str, masks: dict[str, NDArray[np.bool_]]) ->
 
 
 def notes(run: JudgedRun) -> list[str]:
-    """Return the notes for the reader: the caller's, those on recordings, and those on faults."""
+    """Return all notes for the reader: the notes of the run, notes on recordings, and notes on faults."""
     all_notes = dict.fromkeys((*run.notes, *notes_of(run.trace.scenario)))  # commands note the recordings too
     return [*all_notes, *acted_faults(run.trace)]
 
 
 def acted_faults(trace: Trace) -> list[str]:
-    """Return a sentence on each fault of the scenario, with the number of ticks at which it acted."""
+    """Return a sentence on each fault of the scenario, with the number of ticks at which it was active."""
     faults = []
     for k, fault in enumerate(trace.scenario.faults):
         mask = (trace.ticks["faults"] >> k & 1) != 0

@@ -67,23 +67,25 @@ def run(
     Args:
         scenarios: One or several inputs: a scenario file, a suite, a folder, ``shipped:NAME`` or a
             ``Scenario``.
-        avoider: The avoider that replaces the scenarios' own: a name, ``FILE.py:NAME`` or a model file.
+        avoider: The avoider that replaces the avoiders of the scenarios: a name, ``FILE.py:NAME`` or a model
+            file.
         controller: The controller that replaces the visual servo: a name, ``FILE.py:NAME`` or a program.
-        against: A reference avoider or controller.  It also runs every scenario, and the result compares the
-            two.
-        world: A world or its label, such as ``kinematic``; None: PyBullet, else MuJoCo, else the kinematic
-            world, whichever is installed.
-        out: The folder into which each trace is written as soon as its run ends.  None: No files are written.
+        against: A reference avoider or controller, with which every scenario runs again. The result compares
+            the runs with the runs of the reference.
+        world: A world or its label, such as ``kinematic``. The default is PyBullet if it is installed,
+            otherwise MuJoCo if it is installed, and otherwise the kinematic world.
+        out: The folder into which each trace is written as soon as its run ends. If it is None, no files are
+            written.
         keep_going: Whether to run the usable inputs even if other inputs cannot be used.
-        jobs: The number of processes; None: one for each core, if there are many runs.
-        mcap: Whether to write each run as an MCAP file too, beside its trace.
+        jobs: The number of processes. The default is one process for each core if there are many runs.
+        mcap: Whether to write each run also as an MCAP file beside its trace.
         output: The ``Output`` that shows the progress.
 
-    Ctrl-C ends the job; the result then keeps the finished runs.  A run that fails does not stop the other
-    runs.
+    Ctrl-C ends the job, and the result then contains the finished runs. A run that fails does not stop the
+    other runs.
 
     Raises:
-        InputErrors: Inputs cannot be used; in this case no scenario ran.
+        InputErrors: Inputs cannot be used. In this case, no scenario ran.
         InputError: An option cannot be used, the world is not installed, or ``out`` cannot be written.
 
     """
@@ -133,7 +135,10 @@ def run(
 
 
 def _reference(given: str | Path | None) -> str | None:
-    """Return the tested program as text; return a ``Driver`` object unchanged."""
+    """Return the tested program as text.
+
+    A ``Driver`` object is returned unchanged.
+    """
     return str(given) if isinstance(given, Path) else given
 
 
@@ -160,19 +165,21 @@ def read_all(
     objects: Sequence[Scenario] = (),
     output: Output = QUIET,
 ) -> tuple[list[list[Admitted]], list[Incompatible], list[InputError]]:
-    """Read and admit all scenarios, both with the given avoider and with the reference.
+    """Read all scenarios, and admit each of them with its avoider and, if there is one, with the reference.
 
     Args:
         paths: Scenario files, suites or folders.
-        avoider: The avoider that replaces the avoider of every scenario; None keeps their own.
-        against: The reference; None without a comparison.
+        avoider: The avoider that replaces the avoider of every scenario. If it is None, the scenarios keep
+            their avoiders.
+        against: The reference, or None if no comparison is wanted.
         world: The world of the runs.
         objects: Scenarios that were passed as objects, not as files.
         output: The ``Output`` that shows the progress.
 
     Returns:
-        Three lists: the admitted scenarios, each with its reference; the scenarios that a given avoider
-        cannot take; and all mistakes.
+        Three lists. The first list has the admitted scenarios, each with its reference. The second list has
+        the scenarios that a given avoider does not support. The third list has the errors of all inputs that
+        cannot be used.
 
     Raises:
         InstallationError: There is a scenario to run, and the world is not installed.
@@ -187,6 +194,7 @@ def read_all(
     for instance in objects:
         gathered.take(instance)
     output.say(*aside_lines(gathered.aside))
+    # A missing engine is reported before any scenario is admitted, and only if there is a scenario to run.
     if gathered.scenarios:
         world.opener()
     avoiders = [(avoider, option_of(avoider or ""))] + ([] if against is None else [(against, "--against")])
@@ -214,7 +222,10 @@ class RunsShown:
         self._show(0)
 
     def tick(self, done: int) -> None:
-        """Show that ``done`` ticks are finished; the display changes every 50 ticks and at the end."""
+        """Show that ``done`` ticks are finished.
+
+        The display changes every 50 ticks and at the end.
+        """
         if done - self._shown >= 50 or done > self.scenarios[self._number].ticks:
             self._show(done)
 
@@ -226,18 +237,21 @@ class RunsShown:
 
 @contextmanager
 def watching_runs(scenarios: Sequence[Scenario], output: Output) -> Iterator[RunsShown]:
-    """Yield the display, which the caller updates with the current scenario and its finished ticks."""
+    """Yield the display.
+
+    The caller updates the display with the current scenario and its finished ticks.
+    """
     with output.counting(sum(s.ticks + 1 for s in scenarios), "ticks") as show:
         yield RunsShown(scenarios, show)
 
 
 @dataclass
 class RunSession:
-    """The runs of one call of ``run`` while they are executed.
+    """The state of one call of ``run`` while its scenarios run.
 
-    ``asked`` is the result as it is before the first run.  ``out`` is the folder into which each trace is
-    written at once; None keeps the traces in memory only.  ``differences`` compares the runs with those of a
-    reference, if there is one.
+    ``asked`` is the result before the first run. ``out`` is the folder into which each trace is written at
+    once. If ``out`` is None, the traces stay in memory. ``differences`` compares the runs with the runs of a
+    reference, if there is a reference.
     """
 
     asked: RunResult
@@ -255,11 +269,11 @@ class RunSession:
     written: set[Path] = field(default_factory=set)  # by this job, whatever times the disk reports
 
     def run(self, admitted: Sequence[Sequence[Admitted]], jobs: int | None = 1) -> RunResult:
-        """Simulate all runs, rename the traces of earlier runs, and question a second avoider.
+        """Simulate all runs, rename the traces of earlier runs, and query a second avoider.
 
         Args:
             admitted: For each scenario, its run and the run of its reference, if there is one.
-            jobs: The number of processes; None: one for each core, if there are many runs.
+            jobs: The number of processes. The default is one process for each core if there are many runs.
 
         """
         self._run_all(admitted, jobs)
@@ -268,7 +282,7 @@ class RunSession:
             self.output.explain(self.unwritable)
         if self.interrupted or self.unwritable is not None:
             kept = f"the results of {len(self.runs)} of {self.asked.planned} scenarios are kept"
-            self.output.say(f"stopped before the end: {kept}; the same command makes all again")
+            self.output.say(f"stopped before the end: {kept}; the same command repeats all")
         self._ask_again()
         return replace(
             self.asked,
@@ -308,7 +322,7 @@ class RunSession:
     def _run_one(
         self, admitted: Admitted, processes: RunProcesses, folder: str, progress: RunsShown
     ) -> JudgedRun:
-        """Simulate a run in this process or in another one, then save and judge it."""
+        """Simulate a run in this process or in another process, then save and judge the run."""
         trace = processes.trace(admitted) or run_trial(admitted, world=processes.world, on_tick=progress.tick)
         file = None if self.out is None else saved(trace, self.out / folder)
         judged = JudgedRun(
@@ -329,7 +343,7 @@ class RunSession:
     def _take_finished(
         self, left: Sequence[Sequence[Admitted]], processes: RunProcesses, progress: RunsShown
     ) -> None:
-        """Take over the runs that other processes finished before Ctrl-C."""
+        """Add to the result the runs that other processes finished before Ctrl-C."""
         for admitted, *_ in left if self.asked.against is None else ():
             if processes.is_done(admitted):
                 with suppress(Exception):
@@ -346,7 +360,10 @@ class RunSession:
         self.interrupted = not judged.trace.complete
 
     def _compare(self, reference: JudgedRun) -> None:
-        """Compare the last run with the reference's run; the result keeps only the differences."""
+        """Compare the last run with the reference's run.
+
+        The result keeps only the differences, not the reference's run.
+        """
         assert self.asked.against is not None
         mine, self.interrupted = self.runs[-1], not reference.trace.complete
         if not self.interrupted:
@@ -363,7 +380,7 @@ class RunSession:
             say("This is a defect of safety-harness, not of your file; the other scenarios are not affected.")
 
     def _rename_earlier(self) -> None:
-        """Rename traces of earlier runs, so that nobody takes them for evidence of this run."""
+        """Rename the traces of earlier runs, so that users do not mistake them for evidence of this run."""
         if self.out is None:
             return
         kinds = [f"{at}/{kind}" for at in (TRACES, OF_REFERENCE) for kind in KINDS]
@@ -381,7 +398,7 @@ class RunSession:
                 self.unwritable = self.unwritable or error
 
     def _ask_again(self) -> None:
-        """Check whether the avoider repeats its answers, unless the job was interrupted."""
+        """Check whether the avoider gives the same answers again, unless the job was interrupted."""
         if self.runs and not self.interrupted and self.unwritable is None:
             self.repeated = self.repeatability.reported(self.output)
             self.interrupted = self.repeated is None

@@ -1,7 +1,7 @@
-"""Composition of scenario files: the keys ``extends``, ``without`` and ``matrix``, applied to trees.
+"""Compose scenario files: apply the keys ``extends``, ``without`` and ``matrix`` to the trees of files.
 
-The results are ordinary trees, in which every part still states the file and line of its origin.  The number
-of files, bytes, combinations and values is bounded, and no code in a file is executed.
+The results are ordinary trees. Every part of a tree still states its original file and line. The number of
+files, bytes, combinations and values is limited, and no code in a file is executed.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ SPACE_KEY = "scenario space"
 COMPOSING = (EXTENDS, WITHOUT, MATRIX)
 MAX_BYTES = 1_000_000  # of one file
 MOST_BYTES = 20_000_000  # of all the files that one path leads to
-LONGEST_CHAIN = 8
-MOST_COMBINATIONS = 1_000
+LONGEST_CHAIN = 8  # files that extend each other; a choice
+MOST_COMBINATIONS = 1_000  # a choice
 MOST_VALUES = 300_000  # of all combinations together, so that they are read within seconds
 
 _LABEL = re.compile(r"[\w.+%°-]+(?: [\w.+%°-]+)*")  # it becomes part of a file's name
@@ -40,7 +40,10 @@ _Rewrite = Callable[[str], str]
 
 @dataclass
 class Library:
-    """The files that a path leads to, each read once; their total size is bounded."""
+    """The files to which a path leads.
+
+    Each file is read only once, and the total size of all files is limited.
+    """
 
     _trees: dict[Path, Node] = field(default_factory=dict)
     _bytes: int = 0
@@ -55,7 +58,8 @@ class Library:
 
         Args:
             path: The file.
-            place: The place of its name, for errors; None: the file itself.
+            place: The place at which the file's name is written, for error messages. None means the file
+                itself.
 
         Raises:
             ScenarioError: The file cannot be read, is not a tree, or the files exceed the bound.
@@ -74,9 +78,10 @@ class Library:
 
 
 def tree_of(text: str, file: Path, place: Place | None = None) -> Node:
-    """Return the tree of a file's text; ScenarioError if the text is malformed or not ours.
+    """Return the tree of a file's text.
 
-    The error quotes a file only if the file has a key of ours.  Otherwise the error states ``place`` alone.
+    Raise ScenarioError if the text is malformed or does not belong to the harness. The error quotes the file
+    only if the file has a key that belongs to the harness. Otherwise the error states only ``place``.
     """
     try:
         tree = parse_tree(text, file)
@@ -103,10 +108,11 @@ class Variant:
 
 
 def variants(path: Path, library: Library) -> tuple[Variant, ...]:
-    """Return the scenarios of a file: one for each combination of its matrix, or a single one.
+    """Return the scenarios of a file.
 
-    The scenario's name becomes part of file names and reports, so ScenarioError for a name that is too long
-    or unprintable.
+    A file with a matrix has one scenario for each combination, and any other file has one scenario. The
+    scenario's name becomes part of file names and reports. Raise ScenarioError if the name is too long or not
+    printable.
     """
     if not path.stem.isprintable() or len(path.stem.encode()) > _LONGEST_NAME:
         expected = f"a file with a name of printable characters, at most {_LONGEST_NAME} bytes"
@@ -129,9 +135,10 @@ def variants(path: Path, library: Library) -> tuple[Variant, ...]:
 
 
 def only_variant(path: Path, library: Library, expected: str) -> Variant:
-    """Return the only scenario of a file; ScenarioError if the file has a matrix.
+    """Return the only scenario of a file.
 
-    ``expected`` completes "expected ..." of the error.
+    Raise ScenarioError if the file has a matrix with several combinations. ``expected`` completes "expected
+    ..." of the error.
     """
     results = variants(path, library)
     if len(results) > 1:
@@ -141,9 +148,9 @@ def only_variant(path: Path, library: Library, expected: str) -> Variant:
 
 
 def merged(base: Node, top: Node) -> Node:
-    """Return ``base`` with the changes of ``top``.
+    """Return ``base`` after the changes in ``top``.
 
-    Mappings merge key by key; any other value of ``top`` replaces the value of ``base``.
+    Mappings merge key by key. Any other value in ``top`` replaces the value in ``base``.
     """
     if not isinstance(base, Mapping) or not isinstance(top, Mapping) or _WHOLE & (_keys(base) | _keys(top)):
         return top
@@ -159,10 +166,10 @@ def merged(base: Node, top: Node) -> Node:
 
 
 def _extended(path: Path, library: Library, chain: tuple[Path, ...], place: Place | None = None) -> Node:
-    """Return the tree of a file, merged over the tree of the file that it extends.
+    """Return the tree of a file, merged with the tree of the file that it extends.
 
-    ``chain`` lists the files that led here, each extending the next.  ``place`` is the place of the file's
-    name.
+    ``chain`` lists the files that led to this file; the last of them extends this file. ``place`` is the
+    place at which another file states the name of this file.
     """
     tree = library.tree(path, place)
     if not isinstance(tree, Mapping):
@@ -183,12 +190,15 @@ def _extended(path: Path, library: Library, chain: tuple[Path, ...], place: Plac
     base = _extended(base_path, library, here, extends.place)
     if not isinstance(base, Mapping) or SUITE in _keys(base):
         raise extends.error("a scenario file", got=f"{base_path}, which is none")
+    # A file name is relative to the folder of the file that states it.
     if resolved(base_path.parent) != resolved(path.parent):
         base = _moved(base, base_path.parent, path.parent)
     assert isinstance(base, Mapping)
     if WITHOUT in given:
         base = _reduced(base, given[WITHOUT])
     own = without_keys(tree, {EXTENDS, WITHOUT})
+    # A scenario may extend a space and the other way round, so its own title replaces both titles of the
+    # base.
     if _TITLES & _keys(own):
         base = without_keys(base, _TITLES - _keys(own))
     return merged(base, own)
@@ -213,7 +223,10 @@ def _reduced(base: Mapping, without: Field) -> Mapping:
 
 
 def _axes(matrix: Field, plain: Mapping) -> list[list[tuple[str, Node]]]:
-    """Return the labels of each axis of ``matrix`` with their changes, after checking all of them."""
+    """Return, for each axis of ``matrix``, the labels and the changes that each label makes.
+
+    Raise ScenarioError if an axis or a label is not allowed.
+    """
     expected = "a mapping of axes, each a mapping of labels and what they change"
     axes: list[list[tuple[str, Node]]] = []
     changed_by: dict[tuple[str, ...], str] = {}
@@ -224,6 +237,7 @@ def _axes(matrix: Field, plain: Mapping) -> list[list[tuple[str, Node]]]:
         changes = {path for label, change in labels for path in _changes(_checked(label, change).node)}
         for path in sorted(changes):
             for earlier, earlier_axis in changed_by.items():
+                # Equal up to the shorter path: one axis changes a value that contains the other axis' value.
                 if path[: len(earlier)] == earlier[: len(path)]:
                     raise below.error(
                         f'axes that change different values; "{earlier_axis}" changes {".".join(earlier)}',
@@ -233,6 +247,7 @@ def _axes(matrix: Field, plain: Mapping) -> list[list[tuple[str, Node]]]:
         axes.append([(label, change.node) for label, change in labels])
     if not axes:
         raise matrix.error(expected)
+    # Check the sizes before the combinations are made.
     count = math.prod(map(len, axes))
     if count > MOST_COMBINATIONS:
         raise matrix.error(f"at most {MOST_COMBINATIONS:,} combinations", got=f"{count:,}")
@@ -243,12 +258,15 @@ def _axes(matrix: Field, plain: Mapping) -> list[list[tuple[str, Node]]]:
 
 
 def _checked(label: str, change: Field) -> Field:
-    """Return the change that a label stands for; ScenarioError if the label or a key is not allowed."""
+    """Return the change that a label stands for.
+
+    Raise ScenarioError if the label or a key is not allowed.
+    """
     if not _LABEL.fullmatch(label) or len(label) > _LONGEST_LABEL:
         expected = f"a label of at most {_LONGEST_LABEL} letters, digits, spaces and . + - % _"
         raise change.error(expected, got=shown(label))
     if not isinstance(change.node, Mapping):
-        raise change.error("a mapping of what is changed, {} for nothing")
+        raise change.error("a mapping of the changes, {} for no change")
     for key, field_ in change.entries("a mapping"):
         if key in (*COMPOSING, SUITE):
             raise field_.error("keys of a scenario", got=f'the key "{key}" within a matrix')
@@ -266,7 +284,10 @@ def _changes(node: Node) -> Iterator[tuple[str, ...]]:
 
 
 def _moved(node: Node, folder: Path, target: Path) -> Node:
-    """Return ``node`` with its file names, relative to ``folder``, rewritten relative to ``target``."""
+    """Return ``node`` with new paths in place of its file names.
+
+    The old paths are relative to ``folder``, and the new paths are relative to ``target``.
+    """
     rewrites: dict[str, _Rewrite] = {
         **{key: lambda text: avoider_seen_from(target, text, folder) for key in TESTED},
         "recording": lambda text: seen_from(target, text, folder),
@@ -277,12 +298,13 @@ def _moved(node: Node, folder: Path, target: Path) -> Node:
 
 
 def rewritten(node: Node, rewrites: dict[str, _Rewrite], rewrite: _Rewrite | None = None) -> Node:
-    """Return the tree ``node`` with the texts below certain keys rewritten.
+    """Return the tree ``node`` after changing the texts below certain keys.
 
     Args:
         node: The tree.
         rewrites: The function that rewrites the texts below each key.
-        rewrite: The function for this node, from the key above it; None: no change.
+        rewrite: The function that rewrites the texts of this node, which belongs to the key above; None: no
+            change.
 
     """
     if isinstance(node, Scalar):

@@ -1,7 +1,8 @@
-"""Search a space for violations, and shrink, confirm, explain and write each one.
+"""Search a space for violations, then shrink, confirm, explain and write each violation.
 
-The session writes each finding at once, unshrunk, so that no later failure loses it. After the search it
-shrinks the worst groups of each claim: at most six groups, or three structures.
+The session writes each finding at once, before shrinking, so that no later failure loses it. After the
+search, the session shrinks the worst groups of each claim. For each claim, shrinking stops after six groups
+or three different structures.
 """
 
 from __future__ import annotations
@@ -69,18 +70,18 @@ _BATCH = 64  # runs that are simulated together
 
 
 def nothing_confirmed(world: WorldEntry) -> str:
-    """Return a sentence for a search in ``world`` that no reference can confirm."""
+    """Return a sentence which states that no installed reference can confirm findings in ``world``."""
     lacking = "other reference" if world.reference else f"reference ({REFERENCE})"
     return f"nothing is confirmed, as no {lacking} is installed: this is {world} alone"
 
 
 def basis_of_search(findings: Findings, world: WorldEntry, confirmed_in: Sequence[str]) -> str:
-    """Return a sentence on the worlds and the runs on which the findings of a search rest.
+    """Return a sentence on the worlds and the runs that produced the findings of a search.
 
     Args:
         findings: The findings.
         world: The searched world.
-        confirmed_in: The worlds that confirm findings; empty if none is confirmed.
+        confirmed_in: The worlds that confirm findings. It is empty if no world confirms findings.
 
     """
     counts = [(int(runs), findings.tried) for runs in findings.evidence]
@@ -88,7 +89,10 @@ def basis_of_search(findings: Findings, world: WorldEntry, confirmed_in: Sequenc
 
 
 def _counted(count: int, noun: str = "violation") -> str:
-    """Return ``count`` with ``noun`` in the singular or plural; a violation is of one claim in one run."""
+    """Return ``count`` with ``noun`` in the singular or plural.
+
+    Here, a violation concerns one claim in one run.
+    """
     return f"{count:,} {noun}{'s' * (count != 1)}"
 
 
@@ -98,9 +102,10 @@ def _report_at(report: Callable[[str], None], where: str, message: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class WrittenCounterexample:
-    """A written counterexample: the case, the groups of runs that led to it, its searcher and its files.
+    """A counterexample that has a file.
 
-    All ``groups`` shrank to the same structure, and ``searcher`` found the first of them. ``expected`` marks
+    The object has the case, the groups of violations that led to it, the searcher, and the files. All
+    ``groups`` were shrunk to the same structure, and ``searcher`` found the first of them. ``expected`` marks
     a claim that the space expects to be violated.
     """
 
@@ -114,7 +119,7 @@ class WrittenCounterexample:
 
     @property
     def lines(self) -> list[str]:
-        """Lines on the violated claim and its margin, on the cause, and the command that runs the file."""
+        """The lines on a counterexample: its claim, margin and cause, and the command that runs the file."""
         example = self.one
         margin = "-" if example.evaluation is None else example.evaluation.margin_text()
         return [
@@ -127,7 +132,10 @@ class WrittenCounterexample:
 
     @property
     def found_words(self) -> str:
-        """The number of violations that led to it, and the confirmed margin and contact before shrinking."""
+        """A text with the number of violations that led to this file.
+
+        The text also states the confirmed margin, and whether a hand touched the arm, before shrinking.
+        """
         example, count = self.one, sum(group.count for group in self.groups)
         parts = [f"{_counted(count)} led to it"]
         if example.evaluation is not None and example.found_margin is not None:
@@ -137,10 +145,11 @@ class WrittenCounterexample:
 
 @dataclass(frozen=True)
 class Causes:
-    """The causes of a search's violations, each with the files of its examples.
+    """The causes of a search's violations.
 
-    Each group of violations is one example.  ``not_explained`` counts the examples without a known cause, and
-    ``unasked`` the part of them that the search did not try to explain.
+    Each cause has the files of its examples. An example is one group of violations. ``not_explained`` counts
+    the examples without a known cause. ``unasked`` counts the examples without a known cause that the search
+    did not try to explain.
     """
 
     explained: Mapping[str, Sequence[str]] = field(default_factory=dict)
@@ -149,7 +158,7 @@ class Causes:
 
     @property
     def summary(self) -> str:
-        """The number of causes, and the number of examples without a cause, in words."""
+        """A text with the number of causes and the number of examples without a cause."""
         explained = f"{_counted(len(self.explained), 'cause')} explained"
         rest = f"{_counted(self.not_explained, 'example')} not explained{' yet' * bool(self.unasked)}"
         return f"{explained}, {rest}" if self.not_explained else explained
@@ -157,19 +166,21 @@ class Causes:
 
 @dataclass(eq=False)
 class SearchSession:
-    """One search of a space with its findings; it prints a finding that it cannot write.
+    """One search of a space with its findings.
 
-    ``baseline`` holds the findings of uniform sampling with the same budget. ``confirmed`` counts the
-    findings that all ``references`` show too: the installed worlds that confirm results. Without one, they
-    shrink in the searched world, and ``confirmed`` stays 0. ``unwritable`` is the reason why the session
-    stopped writing. ``explain`` is called to explain each violation. ``repeated`` compares the avoider's
-    answers with those of a second instance; None without this comparison. ``flips`` lists differences from
-    the reference avoider that a redraw did not show. ``worse`` has sentences on what the avoider does worse
-    than the reference although it violates no claim for it: proposals that the gate refuses, wrong or late
-    answers. Unless ``explains_all``, an ``allowance`` limits explanations to the search's simulated time.
-    ``examples`` holds the violations of each claim. The session calls ``concluding`` after the search.
-    ``admitter`` admits the runs that confirm, shrink and explain. ``keeps`` tells whether the session writes
-    findings to ``out``.
+    If the session cannot write a finding to a file, it prints the finding. ``baseline`` holds the findings of
+    uniform sampling with the same budget. ``references`` are the installed worlds that confirm results.
+    ``confirmed`` counts the findings that all these worlds show. If there is no reference, the findings are
+    shrunk in the searched world, and ``confirmed`` stays 0. ``unwritable`` is the error because of which the
+    session stopped writing files. The session calls ``explain`` to explain each violation. ``repeated``
+    compares the avoider's answers with the answers of a second instance, or is None without this comparison.
+    ``flips`` lists lines on differences from the reference avoider that new draws did not reproduce.
+    ``worse`` lists sentences on weaknesses of the avoider, compared with the reference, that violate no
+    claim. Such weaknesses are refused proposals, wrong answers and late answers. If ``explains_all`` is
+    False, ``allowance`` limits the simulated time of the explanations to that of the search. ``examples``
+    holds the violations of each claim. The session calls ``concluding`` after the search. ``admitter`` admits
+    the runs that confirm, shrink and explain. ``keeps`` states whether the session writes findings to
+    ``out``.
     """
 
     trials: Trials
@@ -202,27 +213,39 @@ class SearchSession:
 
     @property
     def unconfirmable(self) -> str:
-        """Why no finding is confirmed; empty if a reference confirms them."""
+        """The reason why no finding is confirmed, or an empty text if a reference is installed."""
         return "" if self.references else nothing_confirmed(self.searched)
 
     @property
     def confirming(self) -> ScenarioRunner:
-        """The runner of the first reference, which confirms; without one, of the searched world."""
+        """The runner that confirms findings.
+
+        The world of this runner is the first reference. If there is no reference, it is the searched world.
+        """
         return InWorld(next(iter(self.references), self.searched))
 
     @property
     def _confirming_words(self) -> str:
-        """The worlds in which findings are repeated; without a reference, the searched world."""
+        """A text that lists the worlds in which findings are repeated.
+
+        If there is no reference, findings are repeated in the searched world.
+        """
         return " and ".join(map(str, self.references)) or str(self.searched)
 
     @property
     def confirmed_in(self) -> tuple[str, ...]:
-        """The worlds that confirm findings; empty if no finding is confirmed."""
+        """The worlds that confirm findings.
+
+        The result is empty if no finding is confirmed.
+        """
         return tuple(map(str, self.references if self.confirmed else ()))
 
     @property
     def causes(self) -> Causes:
-        """The causes of the examples; each file counts once, under the cause that most files share."""
+        """The causes of the examples.
+
+        If a file has several causes, it is listed only under the cause that most files share.
+        """
         left = [(cause, written.path.name) for written in self.written for cause in written.one.causes]
         explained: dict[str, list[str]] = {}
         while left:
@@ -256,7 +279,7 @@ class SearchSession:
 
     @property
     def differs(self) -> bool:
-        """Whether the result differs from what the space expects, or no run could decide it."""
+        """Whether the result differs from the expectations of the space, or this could not be decided."""
         applicable = ~self.trials.of_others  # all other claims cannot be judged
         unknown = bool(self.findings.tried) and not applicable.any()
         unknown |= not self.findings.evidence[applicable].all()  # a claim that no run exercised
@@ -269,7 +292,7 @@ class SearchSession:
         Args:
             make: The searcher's factory.
             trials: The trials of the space.
-            folder: The folder below ``as-found`` for unshrunk findings; None saves no finding.
+            folder: The folder below ``as-found`` for unshrunk findings. If it is None, no finding is saved.
 
         """
         cube = Cube.from_space(trials.space)
@@ -316,7 +339,7 @@ class SearchSession:
             say(line)
         self._ask_again()
         if findings.interrupted:
-            say("interrupted: what was found is kept as it was found, not shrunk")
+            say("interrupted: the findings are kept as found, not shrunk")
         elif self.unwritable is None:
             self._explain_groups()
         for line in remarks(self.trials, findings, self.worse):
@@ -337,7 +360,10 @@ class SearchSession:
             say(f"{count}; they are in {FINDINGS}")
 
     def last_lines(self, unwritable: OutputError | None) -> list[str]:
-        """Return lines: the command that runs the counterexamples again, and the error of a failed write."""
+        """Return the lines that end the output of the search.
+
+        They state the command that runs the counterexamples again, and the error of a failed write.
+        """
         lines = []
         if self.written:
             again = ["safety-harness", "run", *(str(written.path) for written in self.written)]
@@ -348,7 +374,10 @@ class SearchSession:
         return lines + ([] if unwritable is None else [f"error: {explanation(unwritable)}"])
 
     def moved_to(self, folder: Path) -> SearchSession:
-        """Return the session with its findings in ``folder``, after writing those that ``folder`` lacks."""
+        """Return the session with its findings in ``folder``.
+
+        Findings that ``folder`` lacks are written first.
+        """
         if self.keeps and folder == self.out:
             return self
         moved = replace(self, out=folder, keeps=True, written=[], unwritable=None)
@@ -370,7 +399,10 @@ class SearchSession:
 
     @cached_property
     def _drawn(self) -> Trials:
-        """Trials at uniformly drawn points: as many as the budget allows, and at least ``LEAST_DRAWN``."""
+        """The trials at uniformly drawn points.
+
+        The number of points equals the budget of the search, but is at least ``LEAST_DRAWN``.
+        """
         self.output.say("runs anywhere in the space with both, to hold what was found against")
         own = leaf(self.trials.seed, Branch.SEARCH, 6)
         drawn = replace(self.trials, seed=own, coverage=Coverage(), violations=Coverage())
@@ -400,18 +432,24 @@ class SearchSession:
             self.findings.interrupted = self.repeated is None
 
     def _origin(self, group: Group, searcher: str) -> list[str]:
-        """Return lines on where ``group`` was found, after doubts about its avoider or confirmation."""
+        """Return lines on the origin of ``group``.
+
+        If the avoider or the confirmation is doubtful, the first lines state this.
+        """
         doubt = [self.repeated.line] if self.repeated is not None and self.repeated.words else []
         doubt += [self.unconfirmable] if self.unconfirmable else []
         return [*doubt, *origin_of(self.trials, group.worst, searcher)]
 
     @property
     def _searches(self) -> list[Findings]:
-        """The findings of the search, and those of the baseline if it was run."""
+        """The findings of the search and, if there was a baseline, the findings of the baseline."""
         return [self.findings] if self.baseline is None else [self.findings, self.baseline]
 
     def _examples_of_claims(self) -> list[_Examples]:
-        """Return the violations of each claim, or the baseline's if the search found none of the claim."""
+        """Return the violations of each claim.
+
+        If the search found no violation of a claim, the violations that the baseline found are used.
+        """
         examples = []
         for claim in (*range(len(self.findings.goals)), None):
             findings = next((search for search in self._searches if search.of_claim(claim)), self.findings)
@@ -420,9 +458,9 @@ class SearchSession:
         return examples
 
     def _explain_groups(self) -> None:
-        """Shrink and explain one violation of each claim, then further ones while the allowance lasts.
+        """Shrink and explain one violation of each claim, then further violations while the allowance lasts.
 
-        Unless ``explains_all``, a further violation becomes an example only if its cause is new.
+        If ``explains_all`` is False, a further violation becomes an example only if its cause is new.
         """
         examples = self.examples
         each_s = cost_s(self.searched, [self.trials.space.simplest])
@@ -454,7 +492,7 @@ class SearchSession:
     def _counterexample(
         self, group: Group, number: int, on_step: Callable[[str], None]
     ) -> Counterexample | None:
-        """Return the shrunk counterexample of a group; None if no run of it is confirmed."""
+        """Return the shrunk counterexample of a group, or None if no run of the group is confirmed."""
         complaint = complaint_of(self.trials, group)
         path = self._file(self.out, complaint, number)
         case = None
@@ -493,7 +531,10 @@ class SearchSession:
         return self._with_physics(case) if self.references else case
 
     def _with_physics(self, case: Counterexample) -> Counterexample:
-        """Count a confirmed case, and return it with a line that says whether physics had a part in it."""
+        """Count a confirmed case, and return the case with an additional line.
+
+        The line states whether physics influenced the run.
+        """
         admitted = self.admitter.admit_afresh(case.shrunk.scenario)
         (model,) = run_all([admitted], KINEMATIC)  # which refuses rendered images
         had_part, sentence = physics_of(case.run, model)
@@ -504,7 +545,10 @@ class SearchSession:
     def _keep_unconfirmed(
         self, group: Group, complaint: Complaint, scenario: Scenario, world: ScenarioRunner
     ) -> None:
-        """Keep a finding that a reference does not show, at first with its runs in both worlds."""
+        """Store a finding that a reference does not show.
+
+        The first such findings include their runs in both worlds.
+        """
         self.unconfirmed.append(
             disagreement_of(group, complaint, scenario, self.trials.world, world)
             if len(self.unconfirmed) < MOST_RUN_TWICE
@@ -512,12 +556,15 @@ class SearchSession:
         )
 
     def _file(self, folder: Path, complaint: Complaint, number: int) -> Path:
-        """Return the path of counterexample ``number`` of ``complaint`` in ``folder``."""
+        """Return the path in ``folder`` for counterexample number ``number`` of ``complaint``."""
         stem = re.sub(r"[^a-z0-9]+", "-", complaint.sentence.lower()).strip("-")[:60].rstrip("-")
         return folder / f"{self.trials.space.name}-{stem}-{number}.yaml"
 
     def _scenario_of(self, folder: Path, episode: TriedPoint) -> Scenario:
-        """Return the scenario of a tried point, with paths as seen from ``folder``."""
+        """Return the scenario of a tried point.
+
+        The paths in the scenario are relative to ``folder``.
+        """
         return as_seen_from(folder, self.trials.scenario(episode.point, episode.number))
 
     def _save(self, case: Counterexample, groups: list[Group], searcher: str) -> WrittenCounterexample:
@@ -537,7 +584,7 @@ class SearchSession:
         return self.written[-1]
 
     def _save_as_found(self, group: Group, folder: Path, number: int, findings: Findings) -> None:
-        """Write a group's first run at once, unshrunk, so that no later failure loses it."""
+        """Write a group's first run at once, before shrinking, so that no later failure loses it."""
         complaint = complaint_of(self.trials, group)
         scenario = self._scenario_of(folder, group.first)
         claims = (
@@ -551,7 +598,10 @@ class SearchSession:
         self._write(self._file(folder, complaint, number + 1), text)
 
     def _write(self, path: Path, text: str) -> bool:
-        """Write ``text`` to ``path``, or print it if that fails; return False if it was printed."""
+        """Write ``text`` to ``path``. If this fails, print the text.
+
+        Return False if the text was printed.
+        """
         if not self.keeps:
             return True
         try:
@@ -566,7 +616,11 @@ class SearchSession:
 
 @dataclass(eq=False)
 class _Examples:
-    """The groups of ``claim`` (None: of run errors) ``left`` to explain, and those ``written`` before."""
+    """The examples of violations of ``claim``, or the examples of run errors if ``claim`` is None.
+
+    ``left`` lists the groups that still need an explanation, and ``written`` lists the examples written
+    before.
+    """
 
     session: SearchSession
     claim: int | None
@@ -576,7 +630,11 @@ class _Examples:
     shrunk: int = 0
 
     def _has_an_example(self, group: Group) -> bool:
-        """Return whether the worst run of ``group``, before shrinking, has the cause of a written example."""
+        """Return whether the worst run of ``group`` has the cause of a written example.
+
+        To compare the causes, the function explains the run in the form that the search found, without
+        shrinking it.
+        """
         session, causes = self.session, {cause for written in self.written for cause in written.one.causes}
         if session.explains_all or not causes:
             return False
@@ -588,7 +646,10 @@ class _Examples:
         return not causes.isdisjoint(explanation.causes)
 
     def explain_next(self, report: Callable[[str], None]) -> bool:
-        """Explain the next violation that the confirming world shows; return False if there was none."""
+        """Explain the next violation that the confirming world shows.
+
+        Return False if there is no such violation.
+        """
         session = self.session
         while self.left and len(self.written) < MOST_SHRUNK and self.shrunk < 2 * MOST_SHRUNK:
             if session.findings.interrupted:
@@ -636,20 +697,21 @@ def search_space(
 ) -> SearchSession:
     """Search a space, then shrink, confirm, explain and write the findings.
 
-    Without a reference world other than the searched one, the output states that nothing is confirmed.
+    If no reference world other than the searched world is installed, the output states that no finding is
+    confirmed.
 
     Args:
         trials: The trials of the space.
         make: The searcher's factory.
-        out: The folder to which each finding is written at once; None writes no file.
+        out: The folder in which each finding is written at once. If it is None, no files are written.
         budget: The number of runs.
-        output: Receives lines and progress.
-        baseline: Also sample the space uniformly, with the same budget, for comparison.
+        output: The ``Output`` that receives lines and progress.
+        baseline: Whether to sample the space also uniformly for comparison, with the same budget.
         explain: The function that explains a violation.
-        explains_all: Explain all violations; otherwise explanations take at most as much simulated time as
-            the search.
-        admitter: Admits all runs after the search. None: a new one.
-        concluding: Receives the session after the search, before the first explanation.
+        explains_all: Whether to explain all violations. Otherwise, explanations take at most as much
+            simulated time as the search.
+        admitter: The admitter of all runs after the search. The default is a new admitter.
+        concluding: The function that receives the session after the search and before the first explanation.
 
     Returns:
         The session.
@@ -681,11 +743,11 @@ def search_space(
 
 @contextmanager
 def watching_search(budget: int, output: Output) -> Iterator[Callable[[Findings], None]]:
-    """Yield a function that takes the findings after each batch and shows the progress.
+    """Yield a function that receives the findings after each batch and shows the progress.
 
     Args:
         budget: The number of runs.
-        output: Receives the progress.
+        output: The ``Output`` that shows the progress.
 
     """
     pace = Pace()
@@ -697,7 +759,7 @@ def watching_search(budget: int, output: Output) -> Iterator[Callable[[Findings]
 
 
 def complaint_of(trials: Trials, group: Group) -> Complaint:
-    """Return the complaint of ``group``: the violated claim, the avoider's fault, or why the run failed."""
+    """Return the complaint of ``group``: a violated claim, an avoider's fault, or a run's failure."""
     if group.claim is not None:
         return Complaint(trials.claims[group.claim], reference=trials.reference)
     claim = None if group.kind.startswith(RUN_FAILED) else trials.answered
@@ -705,7 +767,7 @@ def complaint_of(trials: Trials, group: Group) -> Complaint:
 
 
 def _one_of_each_kind_first(groups: Sequence[Group]) -> list[Group]:
-    """Return ``groups`` reordered: first the worst group of each kind, then all others."""
+    """Return ``groups`` in a new order, which begins with the worst group of each kind."""
     firsts: dict[str, Group] = {}
     for group in groups:
         firsts.setdefault(group.kind, group)
@@ -713,7 +775,10 @@ def _one_of_each_kind_first(groups: Sequence[Group]) -> list[Group]:
 
 
 def nearest_lines(findings: Findings) -> list[str]:
-    """Return a line for each claim: its least margin, and how many runs judged and violated it."""
+    """Return a line for each claim.
+
+    The line states the least margin, the number of violations and the number of verdicts.
+    """
     lines = []
     for claim, goal in enumerate(findings.goals):
         nearest = findings.nearest[claim]
@@ -733,7 +798,7 @@ def not_found_words(findings: Findings) -> str:
 
 
 def summary(findings: Findings, budget: int) -> str:
-    """Return the numbers of tried and refused points, violations and kinds of run errors, in words.
+    """Return a text with the numbers of tried points, refused points, violations and kinds of run errors.
 
     Args:
         findings: The findings.
@@ -748,13 +813,15 @@ def summary(findings: Findings, budget: int) -> str:
 
 
 def against_lines(against: Against, findings: Findings, touching: int, worse: Sequence[str]) -> list[str]:
-    """Return lines on the differences from the reference; without any finding, also what that means.
+    """Return lines on the differences from the reference.
+
+    If there is no finding, the lines also explain the meaning of this result.
 
     Args:
         against: The differences.
         findings: The findings.
         touching: The number of runs in which a hand touched the arm.
-        worse: Sentences on what the avoider does worse than the reference.
+        worse: Sentences on weaknesses of the avoider compared with the reference.
 
     """
     lines = [f"against {against.reference}: {line}" for line in against.lines()]
@@ -768,12 +835,14 @@ def against_lines(against: Against, findings: Findings, touching: int, worse: Se
 
 
 def remarks(trials: Trials, findings: Findings, worse: Sequence[str] = ()) -> list[str]:
-    """Return lines against misreading: on refused points, untested claims, untried parts and touching hands.
+    """Return remarks that prevent a wrong interpretation of the result.
+
+    The remarks concern refused points, untested claims, untried parts and hands that touched the arm.
 
     Args:
         trials: The trials of the search.
         findings: The findings.
-        worse: Sentences on what the avoider does worse than the reference.
+        worse: Sentences on weaknesses of the avoider compared with the reference.
 
     """
     lines = [f"{count} points refused: {reason}" for reason, count in findings.refused.most_common(3)]

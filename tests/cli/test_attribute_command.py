@@ -90,9 +90,7 @@ def test_an_interruption_before_any_answer_is_not_called_nothing_to_attribute(
     assert attribute([written(blind(), tmp_path / "blind.yaml")]) == INTERRUPTED
     err = capsys.readouterr().err
     assert "nothing to attribute" not in err
-    assert err.endswith(
-        "interrupted: what was attributed until then is above; the same command makes all again\n"
-    )
+    assert err.endswith("interrupted: the finished attributions are above; the same command repeats all\n")
 
 
 def test_a_folder_without_runs_and_a_file_that_is_none_are_bad_input(

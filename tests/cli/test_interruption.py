@@ -85,7 +85,7 @@ def test_ctrl_c_in_a_run_keeps_it_and_those_before(
     out, err = capsys.readouterr()
     assert out.startswith("INCONCLUSIVE  second: ")
     assert "1 of 2 verdicts as expected (1 hold, 1 inconclusive), 2 of 3 scenarios run" in out
-    assert "the results of 2 of 3 scenarios are kept; the same command makes all again" in err
+    assert "the results of 2 of 3 scenarios are kept; the same command repeats all" in err
 
 
 def test_ctrl_c_while_files_are_read_runs_nothing(

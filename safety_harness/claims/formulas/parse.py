@@ -8,8 +8,9 @@
     lasting  := "for" t | "from" t "to" t
     window   := "within" t | "from" t "to" t
 
-Ambiguous sentences are refused. A mixture of "and" and "or" needs parentheses, and so does a ``far`` that is
-joined to anything. The case of words does not matter.
+Ambiguous sentences are refused. Parentheses are needed around an operand if a claim mixes "and" and "or".
+They are also needed around a ``far`` operator such as "always" that is joined to another operand. The case of
+words does not matter.
 """
 
 from __future__ import annotations
@@ -46,7 +47,10 @@ MAX_DEPTH = 30  # parentheses and operators within one another
 
 
 def parse_formula(sentence: str, place: Place | None = None) -> Formula:
-    """Return the formula of ``sentence``; raise FormulaError at ``place``, with the wrong word's column."""
+    """Return the formula of ``sentence``.
+
+    If the sentence is not valid, raise FormulaError at ``place`` with the column of the wrong word.
+    """
     refuse_other_type("parse_formula(sentence)", sentence, str, expected="a sentence")
     place = place or Place(field="formula")
     parser = _Parser(sentence, place, tokens_of(sentence, place))
@@ -84,7 +88,10 @@ class _Parser:
         return self.tokens[self.at]
 
     def take(self, *texts: str) -> Token | None:
-        """Return the current token and advance if it is one of ``texts``; else return None."""
+        """Return the current token and advance past it, if its text is in ``texts``.
+
+        Otherwise return None.
+        """
         token = self.now
         if token.text not in texts or token.kind == "end":
             return None
@@ -104,7 +111,10 @@ class _Parser:
         return FormulaError(place=self.place, expected=expected, got=got_text, hint=hint)
 
     def made(self, token: Token, make: type[Formula], *parts: object) -> Formula:
-        """Return the node that ``make`` makes of ``parts``; report an error of it at ``token``."""
+        """Return ``make(*parts)``.
+
+        If the call raises FormulaError, raise this error again with ``token`` as its place.
+        """
         try:
             return make(*parts)
         except FormulaError as error:
@@ -150,9 +160,9 @@ class _Parser:
         return formula
 
     def far_begins(self) -> bool:
-        """Return whether the next operator applies to all that follows it.
+        """Return whether the next operator applies to all the text that follows it.
 
-        "not" does so if the operator after it does.
+        If the next operator is "not", the answer depends on the operator after it.
         """
         ahead = self.at
         while self.tokens[ahead].text == "not":
@@ -176,7 +186,7 @@ class _Parser:
         return self.made(token, make, self.reach(depth), lasts)
 
     def reach(self, depth: int, *, until: bool = False) -> Formula:
-        """Return what an operator applies to: one operand, or another such operator with its own."""
+        """Parse the operand of an operator: a plain operand, or another operator with its own operand."""
         self.refuse_deeper(depth)
         if self.far_begins():
             return self.far(depth + 1)
@@ -194,7 +204,8 @@ class _Parser:
         if self.now.text in FIRST:
             token = self.now
             raise self.error(
-                f'parentheses around what "{token.text}" begins', hint=f'write "({token.text} ...)"'
+                f'parentheses around the part that begins with "{token.text}"',
+                hint=f'write "({token.text} ...)"',
             )
         self.refuse_deeper(depth)
         return self.atom()
@@ -216,7 +227,7 @@ class _Parser:
         return self.made(name, Truth, signal)
 
     def signal(self) -> Signal:
-        """Return the longest signal whose words stand here, and advance."""
+        """Parse the longest name of a signal that begins at the current token, and advance past it."""
         ahead = [token.text for token in self.tokens[self.at :]]
         matches = [signal for signal in SIGNALS if ahead[: len(_words_of(signal))] == _words_of(signal)]
         if matches:
@@ -250,7 +261,11 @@ class _Parser:
             raise self.error(error.expected, token, error.hint, text) from error
 
     def window(self, from_now: str) -> Span | None:
-        """Return the window that stands here, if any: ``from 0.1 s to 0.5 s``, or ``from_now`` and a time."""
+        """Parse the window at the current token.
+
+        Return None if no window begins there. A window has the form ``from 0.1 s to 0.5 s``, or it consists
+        of the word ``from_now`` and a time.
+        """
         token = self.take(from_now, "from")
         if token is None:
             return None
@@ -263,7 +278,7 @@ class _Parser:
         return Span(begin, self.later(begin))
 
     def later(self, begin: Quantity) -> Quantity:
-        """Return the time that stands here, which must be after ``begin``."""
+        """Parse the time at the current token, which must be later than ``begin``."""
         token = self.now
         end = self.quantity(TIME)
         if not end.value > begin.value:
@@ -285,7 +300,10 @@ SAME = {"≤": "<=", "≥": ">="}
 
 @dataclass(frozen=True)
 class Token:
-    """A word, number, sign or the end of a sentence, in the usual form ``text`` and as ``written``."""
+    """A word, a number, a sign or the end of a sentence.
+
+    ``written`` is the token's text in the sentence, and ``text`` is its usual form.
+    """
 
     kind: str  # "number", "sign", "word" or "end"
     written: str
@@ -298,7 +316,10 @@ class Token:
 
 
 def tokens_of(sentence: str, place: Place) -> list[Token]:
-    """Return the tokens of ``sentence``, with one for its end; raise FormulaError for other characters."""
+    """Return the tokens of ``sentence``, followed by an end token.
+
+    Raise FormulaError for an unknown character.
+    """
     tokens, at = [], 0
     while at < len(sentence):
         if sentence[at].isspace():

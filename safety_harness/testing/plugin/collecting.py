@@ -78,7 +78,8 @@ class ScenarioFile(pytest.File):
     def _read(self) -> tuple[list[Scenario], list[SpaceRuns], list[tuple[Incompatible, Claims]]]:
         """Return the admissible scenarios, the spaces, and the scenarios that an avoider cannot take.
 
-        The third list pairs the refusal by a command-line avoider with the claims of the refused scenario.
+        The third list contains each scenario that an avoider given on the command line cannot take, with the
+        scenario's claims.
 
         Raises:
             CollectError: some scenarios are inadmissible; the error lists all their mistakes.
@@ -117,7 +118,10 @@ class LogFile(pytest.File):
     """The pytest node of a cell's log, which the harness judges without a simulation."""
 
     def collect(self) -> Nodes:
-        """Yield a test item for each claim; raise CollectError if the log is unusable or has no claims."""
+        """Yield a test item for each claim of the log.
+
+        Raise CollectError if the log is unusable or has no claims.
+        """
         try:
             recorded = recorded_run(self.path)
         except InputError as error:
@@ -153,11 +157,14 @@ class FileItem(pytest.Item):
         self.claim, self._check = claim, check
 
     def runtest(self) -> None:
-        """Judge the claim; simulate the scenario first, unless the test of another claim has just done so."""
+        """Judge the claim.
+
+        The scenario is simulated first, unless the test of another claim has just simulated it.
+        """
         self._check(self.stash[TEST])
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
-        """Return a mistake or a violation in words.
+        """Return a mistake or a violation as text.
 
         The text omits pytest's frames, because formatting them takes a second.
         """
@@ -217,13 +224,13 @@ def _judge(scenario: Scenario, claim: Claim, test: TestRun) -> None:
 
 
 def _note_of_another(claim: Claim, evaluation: Evaluation, scenario: Scenario, test: TestRun) -> None:
-    """Record that ``--avoider`` causes a violation that the file expects of its own avoider."""
+    """Record that ``--avoider`` causes a violation that the file expects of another avoider, its own."""
     if session().avoider is not None and claim.is_loosely(evaluation.verdict):
         test.of_another.append(f"{scenario.name.partition('#')[0]}: {claim.sentence}")
 
 
 def _skip_inapplicable(evaluations: Iterable[Evaluation]) -> None:
-    """Skip the test if the controller under test lacks the quantity that the claim needs, in every run."""
+    """Skip the test if the claim does not apply to the controller under test."""
     every = list(evaluations)
     if every and not any(evaluation.applicable for evaluation in every):
         pytest.skip(f"not applicable to the controller: {every[0].reason}")
@@ -247,8 +254,8 @@ class _Judged:
 class SpaceRuns:
     """A space, and the judgements of its draws so far.
 
-    The tests of all claims draw with the same seed, and the margins of all claims guide each test.  All tests
-    therefore see the same scenarios until one of them fails.
+    The tests of all claims use the same seed for their draws, and each test is guided by the margins of all
+    claims. All tests therefore see the same scenarios until one of them fails.
 
     Raises:
         InputError: admission refuses the space.
@@ -290,6 +297,7 @@ class SpaceRuns:
     def _examine(self, scenario: Scenario, number: int, test: TestRun) -> None:
         __tracebackhide__ = True
         judged = self._judge(scenario)
+        # The margins of all claims guide the drawing, so that the tests of all claims see the same scenarios.
         for claim, evaluation in zip(self.claims, judged.evaluations, strict=True):
             aim(evaluation, claim.expected)
         evaluation, expected = judged.evaluations[number], self.claims[number].expected
@@ -315,6 +323,7 @@ class SpaceRuns:
             answered = AvoiderAnswered().evaluate
             differences.append(None if fallback is None else against_reference(trace, fallback, answered))
             self._judged[digest] = _Judged(run, evaluations, fallback, tuple(differences))
+            # Without a report, the traces need not stay in memory.
             if session().report is not None:
                 self._remember(run, evaluations, trace)
         return self._judged[digest]

@@ -1,4 +1,4 @@
-"""End a session: collect the judgements, tell how often runs tested each claim, and write the report."""
+"""End a session: collect the judgements, count how often runs tested each claim, and write the report."""
 
 from __future__ import annotations
 
@@ -113,7 +113,10 @@ class Ending:
             say(line)
 
     def _overruled(self) -> str:
-        """Return how often the gate overruled the avoiders; a run of several workers counts once."""
+        """Return a text on how often the gate overruled the avoiders.
+
+        If several workers executed the same run, the run is included only once.
+        """
         from safety_harness.trace.overruling import Overruling
 
         runs = {run: counts for sent in self._sent for run, counts in sent.run.overruled.items()}
@@ -144,7 +147,7 @@ class Ending:
         ]
 
     def _of_another(self) -> list[str]:
-        """Return the violations that a file expects of its own avoider and that --avoider causes too."""
+        """Return the violations that ``--avoider`` causes and that the file expects of its own avoider."""
         texts = dict.fromkeys(text for sent in self._sent for text in sent.run.of_another)
         return [f"expected of another than --avoider: it may be for another reason: {text}" for text in texts]
 
@@ -155,10 +158,14 @@ class Ending:
         return [f"computing time: {line}" for line in lines_of(runs)]
 
     def _untried(self) -> list[str]:
-        """Return the moves and faults that no run of the session tried; a repeated run counts once."""
+        """Return the moves and faults that no run of the session exercised.
+
+        A repeated run is included only once.
+        """
         from safety_harness.claims.properties.tried import TriedParts
 
         tried = TriedParts()
+        # A dictionary by run, because several tests may have judged the same run.
         for tried_run in {
             run: tried for sent in self._sent for run, tried in sent.run.tried.items()
         }.values():
@@ -192,7 +199,10 @@ class Ending:
         return lines
 
     def _world(self) -> list[str]:
-        """Say that the session named no world, and which world was used in its place."""
+        """Return a line for each world that was used by default.
+
+        There are no lines if the session has chosen a world.
+        """
         from safety_harness.cell.simulation.worlds import REFERENCE, WORLDS, defaulted
 
         made_in = {j.run.world for j in self._judgements()}
@@ -200,7 +210,7 @@ class Ending:
         return [] if current().world else [defaulted(world) for world in named]
 
     def _fallback(self) -> str:
-        """Return in how many decisions the fallback acted, and in how many runs without an answer."""
+        """Return a text on how often the fallback acted, and in how many runs the avoider did not answer."""
         from safety_harness.claims.properties.answered import ANSWERED, fallback_words
         from safety_harness.report.words import count_words
 
@@ -214,7 +224,10 @@ class Ending:
         return text and f"{text} of {count_words(len(evaluations), 'run', 'runs')}"
 
     def _unjudged(self) -> str:
-        """Return the simulated runs whose claims nobody judged, with the tests that made them."""
+        """Return a text on the simulated runs that no test judged.
+
+        The text lists the tests that simulated these runs.
+        """
         from safety_harness.report.words import count_words
 
         judged = {run for sent in self._sent for run in sent.judged}
@@ -223,9 +236,9 @@ class Ending:
         return text * bool(runs) + ", ".join(dict.fromkeys(runs.values()))
 
     def _tested(self) -> list[str]:
-        """Return what the verdicts are about, if that is more than an avoider or controller with defaults.
+        """Return a line on each tested system that is more than an avoider or controller with defaults.
 
-        The text names a shield, a gate, and settings that differ from their defaults.
+        The line states the shield, the gate and the settings that differ from their defaults.
         """
         runs: dict[str, set[str]] = {}
         for run in (judgement.run for judgement in self._judgements()):
@@ -241,7 +254,7 @@ class Ending:
         return [judgement for sent in self._sent for judgement in sent.run.judgements]
 
     def _basis(self) -> str:
-        """Return the sentence on what the session's verdicts are based on."""
+        """Return the sentence on the basis of the session's verdicts."""
         from safety_harness.claims.properties.tally import basis_of_tallies
 
         return basis_of_tallies((j.run.world for j in self._judgements()), self._tallies())

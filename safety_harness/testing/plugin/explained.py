@@ -1,4 +1,4 @@
-"""Provide what several parts of the plug-in need: an item's test record, and the text of a mistake."""
+"""Provide the test record of an item and the text of a mistake, for several parts of the plug-in."""
 
 from __future__ import annotations
 
@@ -15,6 +15,10 @@ TEST: pytest.StashKey[TestRun] = pytest.StashKey()
 
 
 def explained(error: BaseException) -> str:
-    """Return the text of a mistake: place, expected, got, hint, and the test line that led to it."""
+    """Return the text of a mistake.
+
+    It states the place, the expected value, the actual value, a hint, and the line of the test that led to
+    the mistake.
+    """
     lines = [explanation(error), *(f"  {note}" for note in getattr(error, "__notes__", []))]
     return "\n".join(lines).replace(f"{Path.cwd()}{os.sep}", "")

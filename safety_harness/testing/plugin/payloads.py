@@ -24,9 +24,9 @@ class EndedTest:
         run: the test's record, without its traces and errors.
         failed: whether pytest reports a failure.
         swallowed: whether the test passed although a claim failed in it.
-        simulated: keys of the simulated runs, which need a judgement.
+        simulated: keys of the simulated runs; some test of the session should judge each of them.
         judged: keys of the runs that the test judged.
-        traces: files for the report, each with an evaluation and its expected verdict.
+        traces: trace files for the report, with the evaluation and the expected verdict of each file.
         executed: the avoider files that the process has executed.
 
     """
@@ -58,7 +58,10 @@ def tallies_of(judged: Iterable[Judgement]) -> tuple[ClaimTally, ...]:
 
 
 def differences(every: Iterable[EndedTest]) -> list[RunDifference]:
-    """Merge the differences of several tests into one record for each run, with all claims about that run."""
+    """Merge the differences from several tests into one record per run.
+
+    A record contains all claims about its run.
+    """
     runs: dict[str, RunDifference] = {}
     for ended in every:
         for digest, difference in ended.run.differences.items():

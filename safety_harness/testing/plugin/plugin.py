@@ -46,12 +46,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--avoider",
         metavar="AVOIDER",
-        help="In place of what scenarios name: mc-dropout, 'opposite pose', FILE.py:NAME, FILE.onnx, ...",
+        help="The avoider instead of the files': mc-dropout, 'opposite pose', FILE.py:NAME, FILE.onnx, ...",
     )
     group.addoption(
         "--safety-against",
         metavar="AVOIDER",
-        help="A reference: tests fail only for what it does not do in the same scenario.",
+        help="A reference: tests fail only for violations that it does not have in the same scenario.",
     )
     group.addoption(
         "--safety-world",
@@ -127,8 +127,9 @@ def pytest_configure_node(node: Any) -> None:
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> LogFile | ScenarioFile | None:
     """Collect the scenario files, spaces, suites and logs that match ``safety_scenarios``.
 
-    Without that setting, the plug-in collects the files that the harness recognises.  It also collects a file
-    that the user names if its title is the harness's, so that its mistakes are shown.
+    Without that setting, the plug-in collects the files that the harness recognises. It also collects a file
+    that the user lists on the command line if the file has a title of the harness, so that mistakes in it are
+    reported.
     """
     patterns = parent.config.getini("safety_scenarios")
     if patterns is None and file_path.suffix.lower() not in SUFFIXES:
@@ -155,7 +156,7 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> LogFile | 
 def pytest_runtestloop(session: pytest.Session) -> None:
     """Refuse an ``--avoider`` that cannot be created, before the first test runs.
 
-    This happens here because collection must not execute an avoider.
+    This check is done here and not during the collection, because collection must not execute an avoider.
     """
     config = session.config
     elsewhere = config.pluginmanager.hasplugin("dsession")  # xdist's workers run the tests
@@ -210,7 +211,7 @@ def pytest_make_collect_report(
 
 
 class _PastCapture(io.StringIO):
-    """A stream that reaches the terminal during a test, although the test or pytest captures the output."""
+    """A stream that writes to the terminal during a test, even while the output of the test is captured."""
 
     def __init__(self, config: pytest.Config) -> None:
         super().__init__()
@@ -236,7 +237,10 @@ def _is_worker(config: pytest.Config) -> bool:
 
 
 def _seed(config: pytest.Config) -> int:
-    """Return the seed of ``--hypothesis-seed`` or a new seed; a worker of xdist gets its session's seed."""
+    """Return the seed of ``--hypothesis-seed`` or a new seed.
+
+    A worker of xdist uses the seed of its session.
+    """
     if _is_worker(config):
         return int(config.workerinput["safety_seed"])  # type: ignore[attr-defined]
     option = config.getoption("--hypothesis-seed", default=None)
@@ -249,6 +253,7 @@ def _refuse_idle_patterns(config: pytest.Config) -> None:
     """Raise UsageError for a pattern of ``safety_scenarios`` that matches no file where pytest looks."""
     of_ini = config.args_source is pytest.Config.ArgsSource.TESTPATHS
     for pattern in config.getini("safety_scenarios") or ():
+        # Walk only below the pattern's literal beginning, because a project may have many files.
         literal = re.split(r"[*?[]", pattern)[0].rpartition("/")[0]
         starts = [config.rootpath / literal] if not of_ini else map(Path, config.args)
         names = (Path(at, file) for start in starts for at, _, files in os.walk(start) for file in files)
@@ -283,7 +288,10 @@ def _refuse_unknown_world(label: str) -> None:
 
 
 def refuse_unusable_avoider(reference: str, option: str, *, make: bool) -> None:
-    """Raise UsageError for a missing or invalid avoider; execute an avoider's file only with ``make``."""
+    """Raise UsageError for a missing or invalid avoider.
+
+    The avoider's file is executed only if ``make`` is true.
+    """
     from safety_harness.admission.avoiders import refuse_unusable, resolve_avoider, scenario_of_avoider
 
     try:

@@ -1,7 +1,8 @@
-"""Write ``--safety-report FILE``: the report of ``safety-harness run``, for the runs that tests judged.
+"""Write the report of ``--safety-report FILE``.
 
-The process that simulates a run writes its trace to the folder FILE-traces.  The session that gathers the
-results reads the trace from there.  If a test draws scenarios, the report shows the worst run for each claim.
+It has the form of the report of ``safety-harness run``, and contains the runs that tests judged. The process
+that simulates a run writes its trace to the folder FILE-traces.  The session that gathers the results reads
+the trace from there.  If a test draws scenarios, the report shows the worst run for each claim.
 """
 
 from __future__ import annotations
@@ -31,7 +32,9 @@ TITLE = "Safety properties of a hand-avoiding robot arm"
 
 
 def save_runs(test: TestRun, report: Path) -> tuple[tuple[Path, Verdict, Evaluation], ...]:
-    """Write the traces of ``test``; return the file, expected verdict and evaluation of each claim.
+    """Write the traces of ``test``.
+
+    Return, for each claim, the file of the trace, the expected verdict and the evaluation.
 
     Raises:
         OSError: a trace cannot be written.
@@ -56,14 +59,16 @@ def save_runs(test: TestRun, report: Path) -> tuple[tuple[Path, Verdict, Evaluat
 def write_reports(
     file: Path, sent: Sequence[EndedTest], coverage: Sequence[ClaimTally], *, command: str, whole: bool
 ) -> str:
-    """Write ``file`` and its JSON; return the reason if that fails, and otherwise an empty text.
+    """Write ``file`` and its JSON file.
+
+    Return an empty text, or the reason if a file cannot be written.
 
     Args:
         file: the file of the page; the JSON file has the same stem.
         sent: the tests that ended.
         coverage: how often the runs tested each claim.
         command: the command line that the page shows.
-        whole: whether every test ended; if not, the report says that the session was interrupted.
+        whole: whether every test ended. If this is false, the report says that the session was interrupted.
 
     """
     try:

@@ -1,4 +1,4 @@
-"""Watch one test that judges runs while it runs, and put its judgements into its report.
+"""Watch one test while it runs, and add its judgements to its test report.
 
 The report contains plain data, because xdist can transfer nothing else in a report.
 """
@@ -38,7 +38,7 @@ _OF_TARGETS = re.compile(r"Highest target|\s*\S+\s+\(label=|\s*$")  # lines of H
 def watch(item: pytest.Item) -> Iterator[None]:
     """Keep a TestRun for ``item`` during its call.
 
-    Raise NotEstablished if the runs test none of the item's assertions.
+    Raise NotEstablished if the item should test claims about runs, but its runs tested no claim.
     """
     function = _hypothesis_function(item)
     draws = function is not None or isinstance(item, SpaceClaimItem)
@@ -147,7 +147,10 @@ def complete(
 
 
 def _asked_at(error: BaseException, item: pytest.Item) -> list[str]:
-    """Return the line of the test that led to a mistake; empty if the mistake itself is in that file."""
+    """Return the line of the test that led to a mistake.
+
+    The result is empty if the error already states a place in the file of the test.
+    """
     lines = [
         step.lineno for step in traceback.extract_tb(error.__traceback__) if step.filename == str(item.path)
     ]
@@ -157,7 +160,7 @@ def _asked_at(error: BaseException, item: pytest.Item) -> list[str]:
 
 
 def _hypothesis_function(item: pytest.Item) -> Any:
-    """Return the function with ``@given`` that the item calls; None if the item calls no such function."""
+    """Return the function with ``@given`` that the item calls, or None if it calls no such function."""
     function = getattr(item, "obj", None)
     function = getattr(function, "__func__", function)
     return function if getattr(function, "is_hypothesis_test", False) else None
@@ -181,5 +184,6 @@ def _asserts(function: Any) -> bool:
     for code in codes:
         if code is not None and "assert_holds" in code.co_names:
             return True
+        # A function within a test is a constant of the test's code.
         codes += [constant for constant in getattr(code, "co_consts", ()) if isinstance(constant, CodeType)]
     return False
