@@ -18,12 +18,13 @@ HEAD = """\
 
 # What came out of the reproduction
 
-Written by `python paper/results_page.py` from the JSON of
+`python paper/results_page.py` writes this page from the JSON files of these runs:
 
 {runs}
 
-How it was measured, and by which rule judged, is in [the method](paper.md); the plots are on the
-page that the command writes. The numbers are in [reproduction-results.json](../reproduction-results.json).
+The page [The paper, reproduced](paper.md) describes the measurements and the rules of the verdicts. The
+command writes a page that also has the plots. The numbers are stored in
+[reproduction-results.json](../reproduction-results.json).
 
 | part | verdict | why |
 |---|---|---|

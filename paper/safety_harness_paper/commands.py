@@ -17,19 +17,23 @@ def reproduce(
     what: Annotated[
         list[str],
         typer.Argument(
-            help="all, table1 ... table5, figure5 ... figure8, timing, outlook, safety; or sensitivity, "
-            "which is not part of all.",
+            help="The parts to measure: all, table1 ... table5, figure5 ... figure8, timing, outlook, "
+            "safety, or sensitivity. The part all does not include sensitivity.",
             metavar="WHAT...",
         ),
     ],
     scale: Annotated[
-        str, typer.Option(help="quick: minutes, to see it run; default: an hour or so; paper: weeks.")
+        str,
+        typer.Option(
+            help="The size of the training and the tests: quick takes minutes and is only a first look, "
+            "default takes about an hour, and paper takes weeks."
+        ),
     ] = "default",
     out: Annotated[
         Path, typer.Option(help="Folder for reproduction.html, reproduction.json and work/.")
     ] = Path("reports/reproduction"),
     seed: Seed = 0,
-    jobs: Annotated[int, typer.Option(help="Processes at once, each on one core.")] = 2,
+    jobs: Annotated[int, typer.Option(help="Number of processes, each on one core.")] = 2,
 ) -> int:
     """Measure the paper's tables and figures again, and judge whether its numbers are reproduced.
 
@@ -38,15 +42,16 @@ def reproduce(
     (intervals), figure7 (a whole trial), figure8 (two poses), timing (the network against images), outlook
     (the paper's own proposals), safety (the arm's distance from hands) and sensitivity (the open choices).
 
-    The command trains and evaluates several networks of each kind, and tries them in PyBullet. It prints a
-    line for each verdict: reproduced, direction only, or not reproduced, with the reason. The page has all
-    numbers. Ctrl-C keeps every finished step, and the same command continues. The command needs PyTorch,
-    which comes with this package.
+    The command trains and evaluates several networks of each kind, and runs them in PyBullet. It prints a
+    line for each verdict: reproduced, direction only, or not reproduced, with the reason. The page shows all
+    numbers. After Ctrl-C, every finished step stays saved, and the same command continues. The command needs
+    PyTorch, which comes with this package.
 
-    A first look takes minutes: reproduce all --scale quick. Two tables: reproduce table4 table5 --jobs 4.
+    For a first look, which takes minutes, use: reproduce all --scale quick. For two tables, use: reproduce
+    table4 table5 --jobs 4.
 
     Exit code 0: every step is finished.
-    Exit code 1: a step failed; the page names it.
+    Exit code 1: a step failed; the page states which step.
     Exit code 2: bad input.
     Exit code 130: interrupted.
     """

@@ -1,4 +1,4 @@
-"""Define ``safety-harness robot``, which shows an arm's URDF as it is read, and fits capsules around arms."""
+"""Define ``safety-harness robot``, which shows an arm as read from its URDF or fits capsules to the arm."""
 
 from __future__ import annotations
 
@@ -17,23 +17,27 @@ if TYPE_CHECKING:
     from safety_harness.cell.robot.description import ArmModel
     from safety_harness.scenario.robots import AnyRobot
 
-_HELP = "Show an arm of a URDF, or fit capsules."
+_HELP = "Show the arm of a URDF file, or fit capsules around meshes."
 commands = Typer(name="robot", no_args_is_help=True, help=_HELP, short_help=_HELP)
 File = Annotated[
     Path,
-    Argument(help="A URDF file, or one in an installed package: pybullet/kuka_iiwa/model.", metavar="FILE"),
+    Argument(
+        help="A URDF file, or a URDF in an installed package, such as pybullet/kuka_iiwa/model.",
+        metavar="FILE",
+    ),
 ]
 Base = Annotated[
-    str | None, Option(help="The link that stands still; default: the only link without a joint above it.")
+    str | None, Option(help="The fixed link of the arm. Default: the only link without a joint above it.")
 ]
 Tcp = Annotated[
-    str | None, Option(help="The link that ends the arm; default: the only link without a joint below it.")
+    str | None, Option(help="The last link of the arm. Default: the only link without a joint below it.")
 ]
 Packages = Annotated[
     list[str],
     Option(
         "--package",
-        help="Folder of package://NAME/; default: beside the file and above.",
+        help="The folder with the files of package://NAME/. Default: the command searches the folder "
+        "of the URDF file and all folders above it. May be repeated.",
         metavar="NAME=FOLDER",
     ),
 ]
@@ -44,8 +48,8 @@ def show(
     file: Annotated[
         Path,
         Argument(
-            help="A URDF file, one in an installed package (pybullet/kuka_iiwa/model), an arm's file "
-            "(arm.yaml, shipped:panda), or UR10, UR5, UR3.",
+            help="A URDF file, a URDF in an installed package (pybullet/kuka_iiwa/model), the file of an "
+            "arm (arm.yaml, shipped:panda), or UR10, UR5, UR3.",
             metavar="FILE",
         ),
     ],
@@ -53,16 +57,17 @@ def show(
     tcp: Tcp = None,
     package: Packages = [],  # noqa: B006
     html: Annotated[
-        Path | None, Option(help="Also a page with the arm and its capsules in 3-D.", metavar="PAGE")
+        Path | None,
+        Option(help="Also write a page that shows the arm and its capsules in 3-D.", metavar="PAGE"),
     ] = None,
 ) -> int:
     """Show an arm's joints, limits, reach, links and meshes.
 
-    The page needs an arm with capsules: an arm's file, or UR10, UR5, UR3. Only
-    the extra "fitting" draws meshes.
+    The HTML page needs an arm with capsules: the file of an arm, or UR10, UR5
+    or UR3. The page shows meshes only if the extra "fitting" is installed.
 
     Exit code 0: the arm is shown.
-    Exit code 2: the arm cannot be used, with file and line.
+    Exit code 2: the arm cannot be used; the error states the file and the line.
     """
     import numpy as np
 
@@ -136,26 +141,33 @@ def show(
 @command(commands, "fit", interrupted="interrupted: no capsules were written")
 def fit(
     file: File,
-    out: Annotated[Path, Option(help="The file of capsules to write.", metavar="FILE.json")],
+    out: Annotated[Path, Option(help="The file for the capsules.", metavar="FILE.json")],
     base: Base = None,
     tcp: Tcp = None,
     package: Packages = [],  # noqa: B006
     without_geometry: Annotated[
         list[str],
-        Option(help="A link between others that may have no shape; may be given again.", metavar="LINK"),
+        Option(
+            help="A link that is allowed to have no shape, although it lies between links with shapes. May"
+            " be repeated.",
+            metavar="LINK",
+        ),
     ] = [],  # noqa: B006
     seed: Seed = 0,
-    jobs: Annotated[int, Option(help="Links at a time, each in a process.")] = 1,
+    jobs: Annotated[
+        int, Option(help="Number of links to fit at the same time, each in its own process.")
+    ] = 1,
 ) -> int:
-    """Fit capsules about an arm's meshes, in minutes.
+    """Fit capsules around an arm's meshes (takes minutes).
 
-    They enclose every triangle of the collision and visual meshes. The output
-    lists them by link, with their excess over the meshes. The file records the
-    SHA-256 of the URDF and the meshes, and fits no others.
+    The capsules enclose every triangle of the collision and visual meshes. For
+    each link, the command prints the number of capsules, and how far they
+    extend beyond the meshes. The file records the SHA-256 of the URDF and of
+    the meshes, and is valid only for these files.
 
     Exit code 0: the file is written.
     Exit code 2: bad input.
-    Exit code 130: interrupted, without a file.
+    Exit code 130: interrupted; no file was written.
     """
     import numpy as np
 
@@ -216,15 +228,17 @@ def fit(
 
 @command(commands, "enclose")
 def enclose(
-    file: Annotated[Path, Argument(help="A mesh: STL, OBJ, DAE ...", metavar="FILE")],
-    scale: Annotated[float, Option(help="To metres: 0.001 for millimetres.")] = 1.0,
+    file: Annotated[Path, Argument(help="A mesh file, for example STL, OBJ or DAE.", metavar="FILE")],
+    scale: Annotated[
+        float, Option(help="Factor from the unit of the mesh to metres, for example 0.001 for millimetres.")
+    ] = 1.0,
     seed: Seed = 0,
 ) -> int:
-    """Enclose a tool's or part's mesh in capsules.
+    """Enclose the mesh of a tool or a part in capsules.
 
-    The output has the form of a scenario file. The capsules hold every
-    triangle, in the frame of the mesh. A line states their excess over the
-    mesh.
+    The command prints the capsules in the form of a scenario file. They contain
+    every triangle of the mesh, and are in the frame of the mesh. Another line
+    states how far the capsules extend beyond the mesh.
 
     Exit code 0: the capsules are printed.
     Exit code 2: bad input.
@@ -253,7 +267,7 @@ def enclose(
 
 
 def _show_what_it_lacks(arm: ArmModel) -> None:
-    """Print each quantity that the URDF lacks, its use and its key, then the soft limits and notes."""
+    """Print the quantities that the URDF lacks, with their uses and keys, then the soft limits and notes."""
     import numpy as np
 
     from safety_harness.claims.properties.tally import table
@@ -268,7 +282,10 @@ def _show_what_it_lacks(arm: ArmModel) -> None:
 
 
 def _robot(file: Path) -> AnyRobot | None:
-    """Return the arm of an arm's file, or the arm that the package knows by this name; None otherwise."""
+    """Return the arm that ``file`` specifies, or None if ``file`` is a URDF.
+
+    ``file`` is either the path of an arm's file or the name of an arm that is built into the package.
+    """
     from safety_harness.scenario.robots import Robot, is_arm_file, robot_named
 
     text = str(file)

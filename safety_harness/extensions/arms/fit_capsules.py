@@ -1,11 +1,12 @@
-"""Fit capsules to the shapes of an arm's links, for ``safety-harness robot fit``.
+"""Fit capsules to the shapes of an arm's links; ``safety-harness robot fit`` uses this module.
 
-The fit cuts the surface of each link's collision and visual shapes into pieces of at most ``PIECE_M``. Every
-piece belongs to one capsule that contains it completely. A capsule is convex, so it contains a piece if it
-contains the piece's three corners. The capsules together thus contain every triangle. As in Lloyd's
-algorithm, each piece is assigned to the capsule that it fits best. Each capsule then shrinks around its
-pieces to the least volume. Several random starts compete by the volume of the capsules' union. A link gets a
-further capsule, up to ``MOST_CAPSULES``, as long as that reduces the volume by the share ``WORTH``.
+The fit cuts the surface of each link's collision and visual shapes into pieces of at most ``PIECE_M``. Each
+piece is assigned to one capsule, which contains the whole piece. A capsule is convex, so it contains a piece
+if it contains the piece's three corners. The capsules together thus contain every triangle. Each piece is
+assigned to the capsule that it fits best, as in Lloyd's algorithm. Each capsule then shrinks around its
+pieces to the least volume. The fit runs from several random starts and keeps the result whose capsules have
+the smallest union. A link has at most ``MOST_CAPSULES`` capsules. A further capsule is added only if it
+reduces the volume by at least the fraction ``WORTH``.
 """
 
 from __future__ import annotations
@@ -36,8 +37,10 @@ PIECE_M = 0.025  # longest edge of a piece in the first rounds
 GRID_M = 0.006  # step of the grid that measures the volume of the union
 STARTS = 20  # random starts of a fit with more than one capsule
 ROUNDS = 15  # the most rounds of Lloyd's algorithm
+# The least fraction of the volume that a further capsule must remove.  On the UR10, a second capsule would
+# remove only 5 to 10 % at the shoulder and the wrists.
 WORTH = 0.1
-MOST_CAPSULES = 4
+MOST_CAPSULES = 4  # a choice: each capsule costs time in every distance
 LONGEST_M = 4.0  # of a link; a mesh in millimetres would seem a thousand times as long
 ROUND = 32  # sides of the prism that replaces a cylinder
 POLISH_ROUNDS = 12
@@ -49,7 +52,10 @@ Capsule = tuple[NDArray[np.float64], NDArray[np.float64], float]  # start, end, 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """The triangles of a link in the link's frame: ``faces`` (n, 3) index ``vertices`` (v, 3) [m]."""
+    """The triangles of a link, in the link frame.
+
+    A row of ``faces`` (n, 3) has the indices of the three corners in ``vertices`` (v, 3) [m].
+    """
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int64]
@@ -68,7 +74,10 @@ class Surface:
         return areas
 
     def corners(self, chosen: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Return the vertices (k, 3) of the triangles that ``chosen`` (n,) marks, each vertex once."""
+        """Return the vertices of the selected triangles without duplicates, shape (k, 3).
+
+        ``chosen`` (n,) is True for each selected triangle.
+        """
         return self.vertices[np.unique(self.faces[chosen])]
 
 
@@ -97,9 +106,11 @@ def _faces(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         mesh = trimesh.creation.box(extents=shape.size)
     elif shape.kind == "cylinder":
         radius, height = shape.size
+        # The flat sides of the prism must not cut into the cylinder.
         mesh = trimesh.creation.cylinder(radius / np.cos(np.pi / ROUND), height, sections=ROUND)
     else:
         mesh = trimesh.creation.icosphere(subdivisions=3)
+        # Enlarge the polyhedron until its nearest face touches the sphere from outside.
         nearest = np.abs((mesh.triangles_center * mesh.face_normals).sum(axis=1)).min()
         mesh.apply_scale(shape.size[0] / nearest)
     return np.asarray(mesh.vertices), np.asarray(mesh.faces)
@@ -125,7 +136,7 @@ def _of_mesh(shape: Shape, expected: str, got: str) -> ArmFileError:
 
 
 def link_surface(link: LinkShapes, longest_m: float) -> Surface:
-    """Return all shapes of a link as triangles, cut until no edge is longer than ``longest_m``."""
+    """Return the triangles of all shapes of a link, subdivided until no edge is longer than ``longest_m``."""
     vertices, faces, count = [], [], 0
     with FITTING.needed("robot fit"):
         for part in (*link.collision, *link.visual):
@@ -153,7 +164,10 @@ def farthest(points: ArrayNx3, start: Array3, end: Array3) -> float:
 
 @compiled
 def inside(points: ArrayNx3, start: Array3, end: Array3, radius: float) -> NDArray[np.bool_]:
-    """Return (n,) true where one of ``points`` (n, 3) lies in the capsule from ``start`` to ``end`` (3,)."""
+    """Return whether each of the ``points`` (n, 3) lies in a capsule, shape (n,).
+
+    The segment of the capsule extends from ``start`` to ``end`` (3,).
+    """
     result = np.empty(points.shape[0], dtype=np.bool_)
     for i in range(points.shape[0]):
         result[i] = point_segment_distance(points[i], start, end) <= radius
@@ -169,7 +183,11 @@ def assign(
     radii: NDArray[np.float64],  # (k,)
     owner_out: NDArray[np.int64],  # (n,), written
 ) -> None:
-    """Assign each triangle of ``faces`` to the capsule in which its outermost corner lies deepest."""
+    """Assign each triangle of ``faces`` to the capsule that contains it with the largest margin.
+
+    The margin is the least depth of the three corners below the capsule's surface; it is negative for a
+    corner outside the capsule.
+    """
     for i in range(faces.shape[0]):
         least = np.inf
         for j in range(radii.shape[0]):
@@ -182,11 +200,12 @@ def assign(
 
 
 def smallest_capsule(points: ArrayNx3, start: Capsule | None) -> Capsule:
-    """Return a capsule of locally least volume that contains ``points`` (n, 3).
+    """Return a capsule that contains ``points`` (n, 3) and whose volume is a local minimum.
 
-    The search begins at ``start``, or at the main axes of the points.
+    The search starts at ``start``, or at the main axes of the points if ``start`` is None.
     """
     try:
+        # A capsule is convex: if it contains the hull's corners, it contains all points.
         hull = points[ConvexHull(points).vertices]
     except QhullError:  # all points lie in one plane
         hull = points
@@ -198,6 +217,7 @@ def smallest_capsule(points: ArrayNx3, start: Capsule | None) -> Capsule:
     answers = []
     for guess in [np.concatenate(start[:2])] if start is not None else _axis_guesses(hull):
         simplex = np.vstack((guess, guess + 0.01 * np.eye(6)))
+        # A second search from the first result, because Nelder-Mead can stall with a flat simplex.
         for _ in range(1 if start is not None else 2):
             options = {"initial_simplex": simplex, "maxiter": 600, "xatol": 1e-6, "fatol": 1e-5}
             answer = minimize(volume, guess, method="Nelder-Mead", options=options)
@@ -220,7 +240,10 @@ def _axis_guesses(hull: NDArray[np.float64]) -> list[NDArray[np.float64]]:
 
 
 def fit_link(surface: Surface, rng: np.random.Generator) -> list[Capsule]:
-    """Return a link's capsules; each further capsule must reduce the volume by the share ``WORTH``."""
+    """Return a link's capsules.
+
+    Each capsule after the first reduces the volume by at least the fraction ``WORTH``.
+    """
     best, volume = fit_capsules(surface, 1, rng)
     for count in range(2, MOST_CAPSULES + 1):
         more, less = fit_capsules(surface, count, rng)
@@ -231,9 +254,9 @@ def fit_link(surface: Surface, rng: np.random.Generator) -> list[Capsule]:
 
 
 def fit_capsules(surface: Surface, count: int, rng: np.random.Generator) -> tuple[list[Capsule], float]:
-    """Return the best fit of ``count`` capsules that together contain every triangle, and its volume [m^3].
+    """Return the best ``count`` capsules that together contain every triangle, and their volume [m^3].
 
-    If no random start succeeds, the function returns no capsules, and infinity.
+    If no random start succeeds, return no capsules and an infinite volume.
     """
     centres, areas = surface.centres, surface.areas
     low, high = surface.vertices.min(axis=0) - 0.05, surface.vertices.max(axis=0) + 0.05
@@ -256,7 +279,10 @@ def fit_capsules(surface: Surface, count: int, rng: np.random.Generator) -> tupl
 
 
 def _improve(surface: Surface, owner: NDArray[np.int64], count: int) -> list[Capsule] | None:
-    """Shrink the capsules and reassign the triangles in turn; None if a capsule has too few corners left."""
+    """Shrink the capsules and reassign the triangles in turn.
+
+    Return None if a capsule has too few corners.
+    """
     capsules: list[Capsule] = []
     for _ in range(ROUNDS):
         groups = [surface.corners(owner == j) for j in range(count)]
@@ -266,6 +292,7 @@ def _improve(surface: Surface, owner: NDArray[np.int64], count: int) -> list[Cap
         capsules = [smallest_capsule(group, start) for group, start in zip(groups, starts, strict=True)]
         previous = owner.copy()
         assign(surface.vertices, surface.faces, *_stacked(capsules), owner)
+        # Lloyd's rounds hardly change the assignment any more.
         if (owner == previous).mean() > 0.999:
             break
     return capsules
@@ -277,20 +304,24 @@ def _stacked(capsules: list[Capsule]) -> tuple[NDArray[np.float64], NDArray[np.f
 
 
 def needed(surface: Surface, capsules: list[Capsule], index: int) -> NDArray[np.float64]:
-    """Return the corners of those triangles that no capsule except ``index`` contains completely."""
+    """Return the corners of the triangles that only the capsule ``index`` may contain completely.
+
+    These are the triangles that are not completely inside any other capsule.
+    """
     spare = np.zeros(len(surface.faces), dtype=np.bool_)
     for j, (start, end, radius) in enumerate(capsules):
         if j != index:
             enclosed = inside(surface.vertices, start, end, radius)
+            # A capsule is convex, so it contains a triangle whose three corners it contains.
             spare |= enclosed[surface.faces].all(axis=1)
     return surface.corners(~spare)
 
 
 def polish(surface: Surface, capsules: list[Capsule]) -> list[Capsule]:
-    """Shrink each capsule in turn around the triangles that no other contains; round to 0.1 mm.
+    """Shrink each capsule in turn around the triangles that only this capsule contains, then round to 0.1 mm.
 
-    Every step preserves coverage, so the final capsules contain every triangle. The last round rounds the
-    ends before it computes the radius, and rounds the radius up.
+    Every step preserves coverage, so the final capsules contain every triangle. In the last round, the ends
+    are rounded first; the radius is then computed and rounded up.
     """
     capsules = list(capsules)
     for last in [False] * (POLISH_ROUNDS if len(capsules) > 1 else 1) + [True]:
@@ -299,16 +330,18 @@ def polish(surface: Surface, capsules: list[Capsule]) -> list[Capsule]:
             if not last:
                 capsules[j] = smallest_capsule(points, capsule)
                 continue
+            # Adding zero turns -0.0 into 0.0, so that the file has no negative zero.
             start, end = (np.round(point, DECIMALS) + 0.0 for point in capsule[:2])
+            # Rounded up, so that the capsule still contains every corner after the rounding.
             tenths = np.ceil(farthest(points, start, end) * 10**DECIMALS + 1e-6)
             capsules[j] = (start, end, float(np.round(tenths / 10**DECIMALS, DECIMALS)))
     return capsules
 
 
 def excess(capsules: list[Capsule], surface: Surface, rng: np.random.Generator) -> tuple[float, float]:
-    """Return the largest and mean distance [m] from the capsules' union to the link's surface.
+    """Return how far the capsules extend beyond the link: the largest and the mean distance [m].
 
-    Both are estimated from sampled points on the union's surface.
+    The distances are measured from random points on the surface of the capsules' union to the link's surface.
     """
     samples = []
     for j, (start, end, radius) in enumerate(capsules):
@@ -333,7 +366,7 @@ def excess(capsules: list[Capsule], surface: Surface, rng: np.random.Generator) 
 
 
 def fit_mesh(file: Path, scale: float, seed: int = 0) -> tuple[list[Capsule], Surface]:
-    """Return the capsules that enclose a mesh (a tool, a part), in the mesh's frame, and the mesh's surface.
+    """Return the capsules that enclose the mesh of a tool or part, and its surface, both in the mesh's frame.
 
     Args:
         file: The file of the mesh.
@@ -385,7 +418,7 @@ def fit_arm(
 
 
 def _fitted(link: LinkShapes, seed: int) -> list[Capsule]:
-    """Return the capsules of one link; empty for a link without an area."""
+    """Return the capsules of one link; the list is empty if the surface of the link has no area."""
     capsules = fit_link(link_surface(link, PIECE_M), np.random.default_rng((seed, link.index)))
     if not capsules:
         return []
@@ -393,7 +426,7 @@ def _fitted(link: LinkShapes, seed: int) -> list[Capsule]:
 
 
 def write_capsules(file: Path, arm: ArmModel, fitted: list[tuple[LinkShapes, list[Capsule]]]) -> None:
-    """Write the capsules of an arm in the form that ``read_capsules`` reads; OutputError if that fails."""
+    """Write an arm's capsules in the format that ``read_capsules`` reads; raise OutputError if that fails."""
     urdf, meshes = hashes_of(arm)
     capsules = [
         StoredCapsule(

@@ -1,7 +1,7 @@
-"""Show arms in 3-D on one self-contained page: the capsules that distances use, around the meshes.
+"""Show arms in 3-D on one self-contained page.
 
-The page uses the viewer and the data format of replays. It moves each joint in turn from one end of its range
-to the other.
+Around the meshes, the page draws the capsules with which the package computes distances. The page uses the
+viewer and the data format of replays. It moves each joint in turn from one end of its range to the other.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ ENDLESS_RAD = np.pi  # where a joint without limits turns back
 
 
 def write_arm_page(path: Path, robots: Sequence[AnyRobot], *, title: str) -> None:
-    """Write the page, which needs no network, in full or not at all; raise OSError if that fails."""
+    """Write the page completely or not at all; raise OSError if that fails. The page needs no network."""
     arms = [_section(robot, number) for number, robot in enumerate(robots, start=1)]
     page = render_page(
         "arms.html.j2",
@@ -50,7 +50,7 @@ def write_arm_page(path: Path, robots: Sequence[AnyRobot], *, title: str) -> Non
 
 
 def shipped_robots() -> list[AnyRobot]:
-    """Return the arms that are built into the package, and the arms whose files ship with it."""
+    """Return the arms that are built into the package, then the arms whose files are part of the package."""
     files = [file.path for file in shipped_files() if file.kind is ShippedKind.ROBOTS]
     return [*Robot, *(robot_named(str(path)) for path in files)]
 
@@ -99,7 +99,7 @@ def _section(robot: AnyRobot, number: int) -> dict[str, Any]:
 
 
 def _scene(arm: ArmModel, capsules: CapsuleSet, meshes: dict[str, Any] | None) -> dict[str, Any]:
-    """Return the replay of the arm alone: a run without a hand, in which one joint moves at a time."""
+    """Return the data of a replay without hands, in which one joint of the arm moves at a time."""
     joints, moving = _joint_ways(arm)
     ends = [
         f"{plain(name)}, {np.rad2deg(low):.0f} to {np.rad2deg(high):.0f} deg"
@@ -118,13 +118,13 @@ def _scene(arm: ArmModel, capsules: CapsuleSet, meshes: dict[str, Any] | None) -
 
 
 def _ends(arm: ArmModel) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the lower and the upper angles, each (n,) [rad], between which the page moves the joints."""
+    """Return the lower and the upper joint angles (n,) [rad] between which the page moves the arm."""
     low, high = arm.position_lower_rad, arm.position_upper_rad
     return np.where(np.isinf(low), -ENDLESS_RAD, low), np.where(np.isinf(high), ENDLESS_RAD, high)
 
 
 def _joint_ways(arm: ArmModel) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the joint positions (ticks, n), and the joint (ticks,) that moves alone at each tick."""
+    """Return the joint positions and the index of the moving joint, shapes (ticks, n) and (ticks,)."""
     low, high = _ends(arm)
     rest = np.clip(0.0, low, high)
     path, moving = [rest[None]], [0]
@@ -139,9 +139,11 @@ def _joint_ways(arm: ArmModel) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 
 
 def _meshes(arm: ArmModel) -> dict[str, Any] | None:
-    """Return each link's mesh, from its collision shapes if it has any, else from its visual shapes.
+    """Return each link's mesh.
 
-    The result is None if the extra "fitting" is not installed or a link's files are missing.
+    The collision shapes form the mesh, or the visual shapes if the link has no collision shapes. A link whose
+    files are missing is omitted. The result is None if no link has a mesh, or if the extra "fitting" is not
+    installed.
     """
     if find_spec(FITTING.modules[0]) is None:
         return None

@@ -1,4 +1,4 @@
-"""Run a declared plan and write its evidence; this module has ``safety_harness.certify`` and its result."""
+"""Run a declared plan and write its evidence: the function ``safety_harness.certify`` and its result."""
 
 from __future__ import annotations
 
@@ -49,18 +49,23 @@ def certify(
 
     Args:
         plan: A plan or its file.
-        controller: A controller that drives the arm, in place of the plan's avoider.
-        out: The folder of the report, which keeps every finished run; None: reports/NAME of the plan.
-        pdf: Whether to print the page to a PDF too, with an installed Chromium.
-        full: Whether the PDF contains the whole page, or only the most severe results of each kind.
-        workers: The number of processes; None: one for each core.
-        selftest: A file selftest.json for the report; None: the report states that there is no self-test.
-        oracles: A file of independent oracles for the report; None: no oracles.
+        controller: A controller that drives the arm and replaces the plan's avoider.
+        out: The folder of the report, which keeps every finished run. The default is reports/NAME, where NAME
+            is the name of the plan.
+        pdf: Whether to print the page also as a PDF. This needs an installed Chromium.
+        full: Whether the PDF contains the whole page. The default is a PDF with only the most severe results
+            of each kind.
+        workers: The number of processes. The default is one process per core.
+        selftest: A file selftest.json for the report. If there is no file, the report states that there is no
+            self-test.
+        oracles: A file of independent oracles for the report, or None if there are no oracles.
         cells: Files compare-worlds.json for the report.
-        declared: The declaration of the plan; None: the file beside the plan, if it exists.
-        proof: A certificate of ``prove`` for the avoider's network; None: the plan's own, if it names one.
-        since: The folder of an earlier report, for a comparison with it; None: no comparison.
-        output: Receives the progress.
+        declared: The declaration of the plan. The default is the file beside the plan, if it exists.
+        proof: A certificate that ``prove`` wrote for the avoider's network. The default is the plan's own
+            certificate, if any.
+        since: The folder of an earlier report with which the new report is compared. The default makes no
+            comparison.
+        output: The object that receives the progress.
 
     Returns:
         The plan, its evidence, the folder, and the comparison with the earlier report.
@@ -109,7 +114,7 @@ def compare_reports(old: EarlierReport, new: EarlierReport, made_by: str) -> Evi
     Args:
         old: The earlier report.
         new: The later report.
-        made_by: The command that repeats the comparison; the page shows it.
+        made_by: The command that repeats the comparison. The page shows this command.
 
     Returns:
         All changes from the earlier report to the later report.
@@ -126,14 +131,14 @@ def compare_reports(old: EarlierReport, new: EarlierReport, made_by: str) -> Evi
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CertificationResult:
-    """The evidence for the claims of a plan; it is not a certificate.
+    """The evidence for the claims of a plan. The evidence is not a certificate.
 
     Args:
         plan: The plan of the runs.
         evidence: The content of evidence.json.
         folder: The folder of the report.
         complete: True if all declared runs and searches have finished.
-        delta: The changes since the earlier report; None without an earlier report.
+        delta: The changes since the earlier report, or None without an earlier report.
 
     """
 
@@ -145,7 +150,10 @@ class CertificationResult:
 
     @property
     def claims(self) -> tuple[ClaimEvidence, ...]:
-        """The evidence on each claim, with its status ``standing`` and the reason."""
+        """The evidence on each claim.
+
+        The status of a claim is its ``standing``. The evidence also states the reason for the status.
+        """
         return self.evidence.claims
 
     @property
@@ -155,11 +163,11 @@ class CertificationResult:
 
     @property
     def exit_code(self) -> int:
-        """The exit code of the command ``certify``: as expected, different or interrupted.
+        """The exit code of the command ``certify``: *as expected*, *different* or *interrupted*.
 
-        The code of an incomplete report is *interrupted*.  If there is an earlier report, the code depends on
-        regressions; otherwise it depends on the claims' status.  The code is *different* too if a part of the
-        report failed.
+        The code of an incomplete report is *interrupted*. If there is an earlier report, the code depends on
+        regressions. Otherwise, the code depends on the status of the claims. The code is also *different* if
+        a part of the report failed.
         """
         if not self.complete:
             return INTERRUPTED
@@ -177,10 +185,11 @@ class CertificationResult:
         """Copy the report to another folder.
 
         Args:
-            folder: A folder that does not exist yet, or the report's own folder, which needs no copy.
+            folder: A folder that does not exist yet. If the folder is the report's own folder, the function
+                copies no file.
 
         Returns:
-            This result with the new folder.
+            A copy of this result that refers to the new folder.
 
         Raises:
             OutputError: The folder exists already, or it cannot be written.

@@ -1,4 +1,4 @@
-"""Plans as input files of the core's commands ``validate``, ``explain``, ``new`` and ``schema``."""
+"""Let the core's commands ``validate``, ``explain``, ``new`` and ``schema`` handle plans."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from safety_harness.scenario.model import Scenario
 def _check(path: Path, inspect: Callable[[Scenario], object]) -> CheckedFile:
     """Raise an error unless a draw of every stratum of the plan in ``path`` is admissible.
 
-    A warning states whether ``certify`` will refuse the plan. ``inspect`` receives the simplest scenario of
+    If ``certify`` will refuse the plan, a warning states this. ``inspect`` receives the simplest scenario of
     each stratum.
     """
     from safety_harness.admission.spaces import draw_admissible

@@ -1,10 +1,11 @@
-"""The fit of distributions to samples, for scenario spaces, with a test of the fit and intervals.
+"""Fit distributions to samples for scenario spaces, test each fit, and compute intervals of the parameters.
 
-A normal distribution has the parameters of greatest likelihood within known bounds. A uniform distribution
-reaches beyond the sample by its mean gap. The Anderson-Darling distance measures the misfit of both. A
-parametric bootstrap estimates how this distance is distributed if the family is right (Stute, Gonzalez
-Manteiga and Presedo Quindimil, 1993). It draws samples of the same size from the fit, and fits each again. A
-table for known parameters would hardly ever reject a family.
+The parameters of a normal distribution are maximum-likelihood estimates between known bounds. A uniform
+distribution extends beyond the sample, at both ends, by the mean gap between values. The Anderson-Darling
+distance measures the misfit of both families. A parametric bootstrap estimates the distribution of this
+distance under the hypothesis that the family is right (Stute, Gonzalez Manteiga and Presedo Quindimil, 1993).
+The bootstrap draws samples of the same size from the fit, and fits the family to each of them again. A table
+of critical values for known parameters would hardly ever reject a family, since our parameters are estimates.
 """
 
 from __future__ import annotations
@@ -28,11 +29,12 @@ _FAR_STDS, _LEAST_MASS, _LEAST_TAIL = 9.0, 1e-3, 1e-12
 
 @dataclass(frozen=True)
 class Family:
-    """A family of distributions between known bounds (low, high), with the names of its two ``parameters``.
+    """A family of distributions between two known bounds.
 
-    Each function handles b samples at once. ``fitted`` maps samples (b, n) to parameters (b, 2), which are
-    NaN for a sample without a fit. ``below`` maps values (b, n) and parameters (b, 2) to the probabilities
-    (b, n) of smaller values. ``values`` is the inverse of ``below``.
+    ``parameters`` contains the names of the two parameters of the family. Each function processes b samples
+    at once. ``fitted`` maps samples (b, n) to parameters (b, 2), which are NaN for a sample without a fit.
+    ``below`` is the cumulative distribution function. It maps values (b, n) and parameters (b, 2) to
+    probabilities (b, n). ``values`` is the inverse of ``below``.
     """
 
     name: str
@@ -43,17 +45,18 @@ class Family:
 
 
 def _normal(samples: Floats, low: float, high: float) -> Floats:
-    """Return mean and std of the normal distributions, cut off at the bounds, that have the samples' moments.
+    """Return the mean and std of truncated normal distributions that have the same moments as the samples.
 
-    Let y run from -1 to 1 between the bounds. The density is proportional to exp(a y + b y^2). Newton's
-    method finds a and b, since the log-likelihood is concave in both. A solution with b >= 0 is no normal
-    distribution.
+    The distributions are truncated at the bounds. Let y run from -1 to 1 between the bounds. The density is
+    proportional to exp(a y + b y^2). Newton's method finds a and b, since the log-likelihood is concave in
+    both. A solution with b >= 0 is not a normal distribution.
     """
     middle, half = (low + high) / 2.0, (high - low) / 2.0
     y = (samples - middle) / half
     mean, std = y.mean(axis=1), y.std(axis=1)
     wanted = np.column_stack([mean, (y**2).mean(axis=1)])
     solution = np.column_stack([mean / std**2, -0.5 / std**2])
+    # If the bounds cut nothing off, the moments of the sample are the solution already.
     cut = (mean - _FAR_STDS * std < -1.0) | (mean + _FAR_STDS * std > 1.0)
     powers = _NODES ** np.arange(1, 5)[:, None]  # (4, nodes)
     going = cut.copy()
@@ -62,13 +65,16 @@ def _normal(samples: Floats, low: float, high: float) -> Floats:
         if not len(at):
             break
         log = at @ powers[:2]
+        # The constant factor of the density cancels; without the maximum, the exponential could overflow.
         density = np.exp(log - log.max(axis=1, keepdims=True)) * _WEIGHTS
         moments = (density @ powers.T) / density.sum(axis=1, keepdims=True)
         m1, m2, m3, m4 = moments.T
         hessian = np.array([[m2 - m1**2, m3 - m1 * m2], [m3 - m1 * m2, m4 - m2**2]]).transpose(2, 0, 1)
         misfit = wanted[going] - moments[:, :2]
+        # The small term keeps the matrix regular if all the mass is at one point.
         step = np.linalg.solve(hessian + 1e-14 * np.eye(2), misfit[:, :, None])[:, :, 0]
         size = np.abs(step).max(axis=1, keepdims=True)
+        # A limited step, because far from the solution Newton's full step may diverge.
         most = 0.5 * (1.0 + np.abs(at).max(axis=1, keepdims=True))
         solution[going] = at + step * np.minimum(1.0, most / np.maximum(size, 1e-300))
         going[np.flatnonzero(going)[(np.abs(misfit) < _CLOSE).all(axis=1)]] = False
@@ -99,7 +105,11 @@ def _normal_values(share: Floats, parameters: Floats, low: float, high: float) -
 
 
 def _even(samples: Floats, low: float, high: float) -> Floats:
-    """Return the least and largest value of each sample, moved outwards by the mean gap between values."""
+    """Return the bounds of a uniform distribution for each sample.
+
+    The lower bound is the least value minus the mean gap between values, and at least ``low``. The upper
+    bound is the largest value plus this gap, and at most ``high``.
+    """
     least, most = samples.min(axis=1), samples.max(axis=1)
     gap = (most - least) / (samples.shape[1] - 1)
     return np.column_stack([np.maximum(least - gap, low), np.minimum(most + gap, high)])
@@ -122,7 +132,7 @@ FAMILIES = (NORMAL, UNIFORM)
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """The fit of one family to one sample, with a test, and with intervals (CONFIDENCE) of its parameters."""
+    """The fit of one family to one sample, the result of the test of this fit, and CONFIDENCE intervals."""
 
     family: str
     parameters: dict[str, float]
@@ -137,7 +147,9 @@ class Fit:
 
 
 def fit(values: Floats, *, low: float, high: float, rng: np.random.Generator) -> tuple[Fit, ...]:
-    """Return the fits of all families to ``values``, the best first; empty if all values are equal.
+    """Return the fits of all families to ``values``, in order of quality, beginning with the best fit.
+
+    The result is empty if all values are equal.
 
     Args:
         values: The sample (n,).
@@ -153,7 +165,7 @@ def fit(values: Floats, *, low: float, high: float, rng: np.random.Generator) ->
 
 
 def _fit(family: Family, own: Floats, low: float, high: float, rng: np.random.Generator) -> Fit | None:
-    """Return the fit of ``family`` to the sample ``own`` (1, n), or None if it has no fit."""
+    """Return the fit of ``family`` to the sample ``own`` (1, n), or None if the family cannot be fitted."""
     parameters = family.fitted(own, low, high)
     if not np.isfinite(parameters).all():
         return None
@@ -171,12 +183,13 @@ def _fit(family: Family, own: Floats, low: float, high: float, rng: np.random.Ge
         parameters=dict(zip(family.parameters, parameters[0].tolist(), strict=True)),
         intervals={key: (a, b) for key, (a, b) in zip(family.parameters, intervals, strict=True)},
         distance=distance,
+        # The sample itself counts as one of the samples, so the p-value is never zero.
         p_value=float((1 + np.count_nonzero(by_chance >= distance)) / (1 + len(by_chance))),
     )
 
 
 def _distances(family: Family, samples: Floats, parameters: Floats, low: float, high: float) -> Floats:
-    """Return the Anderson-Darling distances A^2 (b,) of ``samples`` (b, n) from their fits."""
+    """Return the Anderson-Darling distance A^2 (b,) between each sample in ``samples`` (b, n) and its fit."""
     below, n = family.below(np.sort(samples, axis=1), parameters, low, high), samples.shape[1]
     below = np.clip(below, _LEAST_TAIL, 1.0 - _LEAST_TAIL)
     weights = 2.0 * np.arange(1, n + 1) - 1.0

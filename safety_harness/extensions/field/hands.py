@@ -1,6 +1,6 @@
-"""A scenario space made from recorded hands, with distributions that are fitted to their approaches.
+"""Make a scenario space from recorded hands, with distributions that are fitted to their approaches.
 
-Each quantity has the family of distributions that fits its sample best (``fitting``). If no family fits, the
+Each quantity gets the family of distributions that fits its sample best (``fitting``). If no family fits, the
 space draws recorded values with equal probability.
 """
 
@@ -37,16 +37,21 @@ LEAST_APPROACHES = 5  # fewer are refused; a quantity with fewer values is not f
 HARD = 0.5  # times speed / window; the log shows a larger acceleration too small by a tenth or more
 WEAK_BELOW = 30  # with fewer values, the test seldom rejects a wrong family
 MOST_VALUES = 100  # the most recorded values that a space lists
+# Bounds of the quantities in a fit; a choice.  Values beyond them are left out.
 LONGEST_S, FARTHEST_M, LEAST_MPS2, HARDEST_MPS2 = 60.0, 2.0, 0.1, 50.0
 ELBOW_BEHIND_M = 0.4  # from the mean start of a hand, along the mean direction
 AXES = ("x", "y", "z")
 SPEED_OF, ACCELERATION, DWELL, PAUSE, END = "speed", "acceleration", "dwell", "pause", "distance at the end"
+# The unit in which a space states a quantity, and the units in one SI unit.
 FORMS = {"m/s": ("mm/s", 1e3), "m/s2": ("m/s2", 1.0), "s": ("ms", 1e3), "m": ("mm", 1e3)}
 
 
 @dataclass(frozen=True, kw_only=True)
 class FittedQuantity:
-    """One quantity of approaches: its values in SI, known bounds, and its fits, the best first."""
+    """One quantity of approaches, with its values in SI units, its known bounds, and its fits.
+
+    The best fit comes first.
+    """
 
     name: str
     unit: str
@@ -57,7 +62,10 @@ class FittedQuantity:
 
     @property
     def chosen(self) -> Fit | None:
-        """The best fit that is not rejected, or None if the space lists the recorded values instead."""
+        """The best fit that the test does not reject, or None if the test rejects all fits.
+
+        If it is None, the space lists the recorded values instead.
+        """
         return next((f for f in self.fits if not f.rejected), None)
 
     @property
@@ -66,7 +74,7 @@ class FittedQuantity:
         return self.beside(0.0)
 
     def beside(self, place: float) -> str:
-        """Return the text of the quantity with ``place`` added to all values."""
+        """Return the text of the quantity after ``place`` is added to all its values."""
         unit, per_si = FORMS[self.unit]
 
         def written(value: float) -> str:
@@ -87,7 +95,7 @@ class FittedQuantity:
 
 @dataclass(frozen=True, kw_only=True)
 class Direction:
-    """The direction of approaches: the mean (3,) in the base frame, and the agreement of the directions.
+    """The mean direction (3,) of approaches in the base frame, with statistics about the directions' spread.
 
     ``resultant`` r is the length of the mean of the n unit vectors; it is 1 if all directions are the same.
     ``concentration`` is the kappa of a von Mises-Fisher distribution (Sra, 2012). ``any_p_value`` is the
@@ -102,7 +110,7 @@ class Direction:
 
 @dataclass(frozen=True, kw_only=True)
 class HandsFit:
-    """The fits of all quantities, the recordings (name, SHA-256), and notes for the reader."""
+    """The fits of all quantities, the name and the SHA-256 of each recording, and notes for the user."""
 
     quantities: tuple[FittedQuantity, ...]
     direction: Direction
@@ -117,10 +125,12 @@ class HandsFit:
 
 
 def fit_hands(logs: Sequence[CellLog], *, seed: int) -> HandsFit:
-    """Return the fits to the approaches of hands in ``logs``; raise LogError for too few approaches.
+    """Fit distributions to the approaches of hands in ``logs``, and return the fits.
+
+    Raise LogError if there are too few approaches.
 
     Args:
-        logs: The logs, all with hands.
+        logs: The logs. Each of them must have hands.
         seed: The seed of the bootstrap.
 
     """
@@ -162,7 +172,7 @@ def fit_hands(logs: Sequence[CellLog], *, seed: int) -> HandsFit:
 def _samples(
     approaches: Sequence[Approach], fastest_mps: float
 ) -> list[tuple[str, str, float, float, list[float]]]:
-    """Return (name, unit, low, high, values) for each quantity, without the values beyond its bounds."""
+    """Return a tuple (name, unit, low, high, values) for each quantity, without values outside the bounds."""
     starts = np.array([a.start_from_tcp_m for a in approaches])
     dwells = [a.dwell_s for a in approaches if a.dwell_s is not None]
     pauses = [a.pause_s for a in approaches if a.pause_s is not None]
@@ -185,6 +195,7 @@ def _direction(approaches: Sequence[Approach]) -> Direction:
     mean = (starts / np.linalg.norm(starts, axis=1, keepdims=True)).mean(axis=0)
     r = float(length(mean))
     unit = mean / max(r, 1e-12)
+    # Sra's approximation for three dimensions; its denominator vanishes for equal directions.
     kappa = r * (3.0 - r**2) / max(1.0 - r**2, 1e-12)
     chi2 = 3.0 * len(approaches) * r**2
     tail = float(gammaincc(1.5, chi2 / 2.0))
@@ -193,7 +204,7 @@ def _direction(approaches: Sequence[Approach]) -> Direction:
 
 
 def _rate_interval(count: int, hours: float) -> tuple[float, float]:
-    """Return the interval of a Poisson rate (Garwood, 1936), with equal tails."""
+    """Return the equal-tailed confidence interval of a Poisson rate (Garwood, 1936)."""
     tail = (1.0 - CONFIDENCE) / 2.0
     low = float(gammaincinv(count, tail)) if count else 0.0
     return low / hours, float(gammaincinv(count + 1, 1.0 - tail)) / hours
@@ -202,7 +213,7 @@ def _rate_interval(count: int, hours: float) -> tuple[float, float]:
 def _recordings(logs: Sequence[CellLog]) -> tuple[tuple[str, str], ...]:
     """Return the (file, hash) pairs of all logs.
 
-    Raise LogError if two logs share a file, since its time would count twice.
+    Raise LogError if two logs share a file, because the time in this file would be added up twice.
     """
     hashes: dict[Path, str] = {}
     for log in logs:
@@ -244,7 +255,10 @@ def _notes(watched: Watched, quantities: Sequence[FittedQuantity]) -> list[str]:
 
 
 def space_text(fitted: HandsFit) -> str:
-    """Return the text of a space in which hands approach as recorded, and the arm is at its desired pose."""
+    """Return the text of a scenario space.
+
+    While the arm is at its desired pose, hands approach the arm with the recorded distributions.
+    """
     by_name = {item.name: item for item in fitted.quantities}
     tcp = Settings().cell.desired_tcp_position_in_base_m
     starts = [by_name[f"start {axis}"].beside(place) for axis, place in zip(AXES, tcp, strict=True)]
@@ -260,6 +274,7 @@ def space_text(fitted: HandsFit) -> str:
         "give up after": "4 s",
     }
     pause: list[Tree] = [{"wait": by_name[PAUSE].text}] if PAUSE in by_name else []
+    # As many approaches as the recorded rate leads to in the 20 s of a run.
     times = max(1, round(fitted.per_hour / 3600.0 * 20.0))
     moves: list[Tree] = [*pause, come, *stay, {"withdraw": speed}]
     repeated: Tree = {"repeat": f"from 1 to {times} times", "moves": moves}
@@ -301,7 +316,7 @@ def _comments(fitted: HandsFit) -> list[str]:
 
 
 def quantity_lines(quantity: FittedQuantity) -> list[str]:
-    """Return the fits to ``quantity``, with one line for each family."""
+    """Return one line for each fit of ``quantity``, or one line that says that no family can be fitted."""
     unit, per_si = FORMS[quantity.unit]
     lines = []
     for each in quantity.fits:

@@ -1,4 +1,4 @@
-"""The kind of input file that lets ``judge``, ``view`` and pytest read the log of a real cell as a run."""
+"""Define a kind of input file, so that ``judge``, ``view`` and pytest can read a real cell's log as a run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The function ``safety_harness.read_log``, which reads the log of a real cell, and its result."""
+"""Define ``safety_harness.read_log``, a function that reads the log of a real cell, and its return type."""
 
 from __future__ import annotations
 
@@ -32,7 +32,9 @@ def read_log(file: str | Path) -> LogResult:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LogResult:
-    """A log as a trace, in which some columns may be marked as not measured.
+    """A log in the form of a trace.
+
+    If the log does not contain a column, the trace marks this column as not measured.
 
     Args:
         file: The description of the log.
@@ -52,7 +54,7 @@ class LogResult:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """The columns, tracks and intervals that are not measured."""
+        """Notes on the columns, tracks and intervals that are not measured."""
         return self.recorded.notes
 
     @property
@@ -64,7 +66,8 @@ class LogResult:
         """Judge the log.
 
         Args:
-            claims: Sentences that should hold. If there are none, the claims of the log's own file.
+            claims: Sentences that should hold. If there are no sentences, the method judges the claims in the
+                log's own file.
 
         Raises:
             InputError: There is no claim, or a claim cannot be read.

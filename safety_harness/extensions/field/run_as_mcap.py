@@ -1,7 +1,8 @@
 """A run as an MCAP file of ROS 2 messages, with its LOG.yaml, for Foxglove, RViz and our own log reader.
 
-Hands, arm and obstacles use Foxglove's schemas for drawing. Joints, transforms and places are standard
-messages. A stamp is the time in the run plus one second, since a stamp of zero means that it is missing.
+Hands, arm and obstacles use Foxglove's schemas for drawing. Joints, transforms and positions use standard
+messages. A stamp is the time in the run plus one second, because in ROS 2 a stamp of zero means that the
+stamp is missing.
 """
 
 from __future__ import annotations
@@ -85,25 +86,29 @@ def write_mcap(trace: Trace, evaluations: Sequence[Evaluation], path: Path) -> t
 
 
 def _stamps(at_s: Any) -> Any:
-    """Return the stamps (n,) [ns] of the times ``at_s`` (n,) in the run."""
+    """Return the stamps (n,) [ns] for the times ``at_s`` (n,) in the run."""
     return NS + np.round(np.asarray(at_s) * NS).astype(np.int64)
 
 
 def _hand_samples(trace: Trace, hand: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return the stamps (n,) [ns] and the places (n, 2, 3) of a hand and its elbow in the base frame [m].
 
-    There are samples at the ticks, at turns between ticks, and at parts of a tick, so that little is unknown
-    between two samples.
+    There is a sample at each tick, at each change of motion between ticks, and at some fractions of a tick.
+    The position between two samples is therefore almost known.
     """
     paths, period_s = finer_paths(trace), trace.scenario.settings.clock.control_period_s
     own = paths.corner_hand == hand
     at = np.concatenate([np.arange(len(trace.ticks)), paths.corner_at[own]])
+    # A change of motion at a tick would be a second sample of the same time.
     stamps, first = np.unique(_stamps(at * period_s), return_index=True)
     return stamps, np.concatenate([paths.positions_in_base_m[:, hand], paths.corners_in_base_m[own]])[first]
 
 
 def _limit_words(flags: int) -> str:
-    """Return the limits in ``flags`` as LOG.yaml writes them, such as "tcp speed and braking"."""
+    """Return a text with the limits in ``flags``, such as "tcp speed and braking".
+
+    The text uses the same words as LOG.yaml.
+    """
     return " and ".join(_spaced(limit.name) for limit in Limit if limit & flags) or "none"
 
 
@@ -116,15 +121,16 @@ def _most(values: Any) -> float:
 
 
 def _quoted(path: Path) -> str:
-    """Return the name of the file with the escapes that it needs between double quotes in JSON and YAML."""
+    """Return the file's name, escaped for use between double quotes in JSON and in YAML."""
     return json.dumps(path.name, ensure_ascii=False)[1:-1]
 
 
 def _log_text(trace: Trace, path: Path) -> str:
     """Return the text of the LOG.yaml that describes the file ``path``.
 
-    The text omits streams that the controller does not report. It also omits the decisions if one of them
-    takes effect after the tick of its question. A log has a single time for question and effect.
+    The text omits streams that the controller does not report. It also omits the decisions if at least one of
+    them takes effect later than at the tick of its query. The format of a log has only one time for the query
+    and its effect.
     """
     tree, decisions = tree_of(as_seen_from(path.parent, trace.scenario)), trace.decisions
     streams = [name for name in REPORTED_COLUMNS if measured(trace, name).all()]
@@ -141,10 +147,11 @@ def _log_text(trace: Trace, path: Path) -> str:
 
 
 def _bounds(trace: Trace) -> tuple[float, float, float]:
-    """Return the largest speed [rad/s] and acceleration [rad/s2] of a joint, and speed [m/s] of a hand.
+    """Return bounds of the joint speeds [rad/s], joint accelerations [rad/s2] and hand speeds [m/s].
 
-    A joint's speed may change at any moment of a tick. So its acceleration is bounded by twice the change of
-    speed in a period. A hand may exceed its mean speed between two samples by the change of this speed.
+    A joint's speed may change at any moment of a tick. Its acceleration is therefore at most twice the change
+    of speed in a period, divided by the period. Let c be the largest change of a hand's mean speed from one
+    interval between samples to the next. Within an interval, the speed may exceed the mean speed by up to c.
     """
     true, period_s = true_motion(trace), trace.scenario.settings.clock.control_period_s
     means, excess = np.diff(true.joints_rad, axis=0) / period_s, 2.0 * _most(trace.overshoot_radps)
@@ -211,7 +218,7 @@ class _Messages:
         return at_ns, "/events", kind, self._new(kind, self._time(at_ns), level, text, name, "", 0)
 
     def _poses(self) -> NDArray[np.float64]:
-        """Return (n, frames, 7) place [m] and unit quaternion (x, y, z, w) of each frame at each tick."""
+        """Return the place [m] and unit quaternion (x, y, z, w) of each frame, shape (n, frames, 7)."""
         from scipy.spatial.transform import Rotation
 
         joints_rad = np.ascontiguousarray(self.trace.ticks["joint_position_rad"])
@@ -220,7 +227,11 @@ class _Messages:
         return np.concatenate([poses[..., :3, 3], turns.reshape(*poses.shape[:2], 4)], axis=2)
 
     def _tick(self, at_ns: int, tick: Any, poses: NDArray[np.float64]) -> Iterator[Message]:
-        """Yield a tick's messages: joints, transforms, the controller's state, tracked and drawn hands."""
+        """Yield the messages of a tick.
+
+        They contain the joints, the transforms, the state of the controller, the tracked hands, and drawings
+        of the hands.
+        """
         names, joints_rad = list(self.arm.joint_names), tick["joint_position_rad"]
         turning, demanded = tick["joint_velocity_radps"], tick["demanded_joint_velocity_radps"]
         yield self._stamped(at_ns, "/joint_states", JOINTS, names, joints_rad, turning, NONE)
@@ -248,7 +259,10 @@ class _Messages:
         return self._new(f"{GEOMETRY}TransformStamped", self._header(at_ns), frame, moved)
 
     def _still_scene(self) -> Message:
-        """Return the message that draws the obstacles and the arm's capsules, which move with /tf."""
+        """Return the message that draws the obstacles and the arm's capsules.
+
+        The frames of the capsules move according to the messages in /tf.
+        """
         capsules, at_ns, drawn = capsules_of(self.trace), self.stamps[0], []
         for k, name in enumerate(capsules.names):
             ends, radii_m = (capsules.start_in_link[k], capsules.end_in_link[k]), [capsules.radius_m[k]] * 2
@@ -269,7 +283,11 @@ class _Messages:
         return self._new(f"{FOXGLOVE}{kind}Primitive", self._pose(at, turn), *painted)
 
     def _capsule(self, at_ns: int, frame: str, name: str, ends: Any, radii_m: Any, colour: Any) -> Any:
-        """Return a drawn capsule: a sphere at each of its ``ends``, and a line as thick as the second one."""
+        """Return the drawing of a capsule.
+
+        It consists of a sphere at each of the two ``ends``, and a line between them that is as thick as the
+        second sphere.
+        """
         balls = [self._shape("Sphere", ends[k], UPRIGHT, [2.0 * radii_m[k]] * 3, colour) for k in range(2)]
         points, paint = [self._of_numbers("Point", at) for at in ends], self._new(f"{FOXGLOVE}Color", *colour)
         at, thick_m, none = self._pose((0.0,) * 3), 2.0 * float(radii_m[1]), np.zeros(0, np.uint32)
@@ -292,7 +310,7 @@ class _Messages:
             yield self._event(at_ns, INFO, ", ".join(filter(None, texts)), "decision")
 
     def _images(self) -> Iterator[Message]:
-        """Render the object camera's images again, since a trace stores no images, and yield them."""
+        """Render the images of the object camera again and yield them, because a trace stores no images."""
         scenario, kind = self.trace.scenario, f"{FOXGLOVE}CompressedImage"
         if scenario.settings.camera.source is not ImageSource.RENDERED:
             return
@@ -305,9 +323,10 @@ class _Messages:
                 yield at_ns, "/camera", kind, self._new(kind, self._time(at_ns), "camera", png.ravel(), "png")
 
     def _claim(self, number: int, own: Evaluation) -> Iterator[Message]:
-        """Yield the claim's quantity at every tick, an event at the worst moment, and the verdict at the end.
+        """Yield the messages about a claim.
 
-        Only claims on the distance of hands or on the TCP's speed have a value at every tick.
+        They contain the claim's quantity at every tick, an event at the worst moment, and the verdict at the
+        end. Only a claim about the hand distance or about the TCP speed has a quantity at every tick.
         """
         prop = property_of(self.trace.scenario.claims[number], self.trace.scenario)
         topic, kind, rows, limit, sign = f"/claim_{number + 1}", f"{OURS}Claim", NONE, np.nan, 1.0

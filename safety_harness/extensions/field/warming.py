@@ -1,4 +1,4 @@
-"""The compilation of the code that a monitor needs besides the code of runs and their verdicts."""
+"""Compile the code that a monitor needs in addition to the code for runs and their verdicts."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ WATCHED = (
 
 
 def warm_monitor() -> None:
-    """Watch a short run, so that the monitor's code is compiled for operators with and without windows."""
+    """Run the monitor once, so that its code for operators with and without time windows is compiled."""
     own = Monitor(cell=cell_taken("UR10", ["hand"], "8 ms", WATCHED))
     places = HandSample((0.9, 0.2, 0.4), (1.2, 0.2, 0.5))
     for tick in range(60):

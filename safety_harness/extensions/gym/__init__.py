@@ -1,4 +1,4 @@
-"""Provide worlds as Gymnasium environments; the import registers ``SafetyHarness-v0``.
+"""Provide worlds as Gymnasium environments. Importing this package registers ``SafetyHarness-v0``.
 
 ``gymnasium.make("safety_harness.gym:SafetyHarness-v0", space="unseen-both.yaml")`` also imports this package.
 The environments are described in docs/how-to/environments.md.

@@ -1,4 +1,4 @@
-"""Provide episodes in sequence as a Gymnasium environment: the loop of ``simulate``, turned inside out."""
+"""Provide a Gymnasium environment; an agent's actions control its episodes tick by tick."""
 
 from __future__ import annotations
 
@@ -48,13 +48,18 @@ if TYPE_CHECKING:
 
 SEES = (JOINTS, PREDICTED_HANDS)
 RGB_ARRAY = "rgb_array"
+# By default, the agent has a reward for progress and pays for a hand that comes too near.  The weights are a
+# choice.
 REWARDS = {PROGRESS: 1.0, "hand distance never below 50 mm": 100.0}
 TCP_VELOCITY, TCP_TWIST, JOINT_VELOCITY = "tcp velocity", "tcp twist", "joint velocity"
 ACTIONS = (TCP_VELOCITY, TCP_TWIST, JOINT_VELOCITY)
 
 
 class Pilot:
-    """A stand-in for a controller, which only names the observations ``sees``; the agent chooses actions."""
+    """A stand-in for a controller in an environment, where the agent chooses the actions.
+
+    It only declares the observations ``sees``.
+    """
 
     name = OUTSIDE
 
@@ -70,10 +75,11 @@ class Pilot:
 
 
 class Setting:
-    """What all episodes of an environment have in common, whether it is single or a vector.
+    """The common properties of all episodes of an environment or of a vector environment.
 
-    ``wanted`` is the number of values that ``obey`` needs: 6 for the TCP, or n for the joints. ``given`` are
-    the arguments, of which a copy or pickle is made anew.
+    ``wanted`` is the number of values that ``obey`` requires. It is 6 for actions of the TCP, or n for
+    actions of the joints. ``given`` contains the constructor's arguments, so that the setting can be copied
+    or pickled.
     """
 
     def __init__(
@@ -106,7 +112,7 @@ class Setting:
         self.wanted = self.joints if self.by_joints else 6
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Let the setting be copied and pickled."""
+        """Allow the setting to be copied and pickled."""
         return _setting, (self.given,)
 
     def _image_shape(self, first: Scenario) -> tuple[int, int, int] | None:
@@ -120,7 +126,7 @@ class Setting:
         return camera.height_px, camera.width_px, 3
 
     def wanted_of(self, actions: ArrayLike, lanes: int) -> NDArray[np.float64]:
-        """Return ``actions`` (n, a) as (n, wanted), filled up with zeros.
+        """Return ``actions`` (n, a) after appending zeros to each row, shape (n, wanted).
 
         Raise ControllerError if the shape differs or a value is not finite.
         """
@@ -142,10 +148,10 @@ def _setting(given: dict[str, Any]) -> Setting:
 
 
 def _action_space(action: str, first: Checked) -> spaces.Box:
-    """Return the space of actions in SI units.
+    """Return the action space, with limits in SI units.
 
-    An agent may exceed it: the controller then limits the values as for any controller, and the trace records
-    that.
+    If an action is outside this space, it is limited like the command of any other controller, and the trace
+    records the limit.
     """
     motion = first.scenario.settings.motion
     linear, angular = [motion.max_tcp_speed_mps] * 3, [motion.max_tcp_angular_speed_radps] * 3
@@ -162,9 +168,9 @@ def _action_space(action: str, first: Checked) -> spaces.Box:
 def _lane(environment: HarnessEnv) -> int:
     """Return the number of the stream that an environment uses until a seed is given.
 
-    The stream is the first number that no living environment of the same title uses, so that neighbours in a
-    vector differ. In a worker process, the search starts at the number in the process's name, in steps of
-    2^32.
+    It is the least number that no other environment with the same title uses, so the environments of a vector
+    differ. In a worker process, the search for this number starts at the number in the process's name, and
+    proceeds in steps of 2^32.
     """
     title = environment.setting.episodes.first.scenario.title
     worker = re.search(r"\d+$", current_process().name) if parent_process() is not None else None
@@ -178,22 +184,23 @@ _LIVING: WeakValueDictionary[tuple[str, int], HarnessEnv] = WeakValueDictionary(
 
 
 class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
-    """A scenario, or draws of a space, in any world, driven by the actions of an agent.
+    """An environment in which an agent's actions control the arm, in any world.
 
-    One step is one control tick. Without a seed, each of several environments that live at the same time has
-    its own stream.
+    An episode is a run of a scenario or of a random draw from a space. One step is one control tick. If
+    several environments without a seed exist at the same time, each of them has its own stream.
 
     Args:
         scenario: The scenario of every episode, or its file. Pass either this or ``space``.
         space: The space whose draws the episodes run, or its file.
         world: The world, or its name.
-        sees: Words of a controller's contract, which name the observed quantities.
+        sees: The names of the observed quantities, as in the contract of controllers.
         action: "tcp velocity" (3,) [m/s] or "tcp twist" (6,) [m/s, rad/s] in the base frame, or "joint
             velocity" (n,) [rad/s].
         rewards: The weights of claims and of "progress", which ``extensions.gym.rewards`` explains.
         ends: Claims whose violation at a tick terminates an episode. The end of the scenario truncates an
             episode.
-        render_mode: "rgb_array", for pictures (480, 640, 3) by ``render``, which needs PyBullet; None: none.
+        render_mode: "rgb_array" if ``render`` shall return pictures (480, 640, 3), which needs PyBullet, or
+            None for no pictures.
 
     Raises:
         InadmissibleError: An argument cannot be used, or a scenario cannot run.
@@ -232,7 +239,10 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         self._begun, self._over = False, True
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Let the environment be copied and pickled: the copy repeats the episode's steps so far."""
+        """Allow the environment to be copied and pickled.
+
+        The copy repeats the steps of the present episode.
+        """
         stream = self._stream
         given = self.setting.given | {"render_mode": self.render_mode}
         return _repeated, (given, stream.seed, stream.number, self._begun, self._actions)
@@ -243,17 +253,17 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         """Begin the next episode.
 
         Args:
-            seed: The stream of the seed tree whose first episode begins. None: The next episode of the
-                present stream begins.
+            seed: The number of a stream in the seed tree, whose first episode begins. None: The next episode
+                of the present stream begins.
             options: Ignored.
 
         Returns:
-            Observation and info. ``info["margins"]`` maps each claim to its least margin so far. ``cost``
-            counts the claims that this tick violates. ``is_success`` is true if the TCP has arrived and no
-            claim was violated so far. ``scenario`` names the draw.
+            Observation and info. ``info["margins"]`` maps each claim to its least margin so far. ``cost`` is
+            the number of claims that are violated at this tick. ``is_success`` is True if the TCP has arrived
+            without a violation of any claim so far. ``scenario`` is the name of the draw.
 
         Raises:
-            InadmissibleError: The seed is no integer, or negative.
+            InadmissibleError: The seed is negative or not an integer.
 
         """
         number = None if seed is None else stream_number(seed)
@@ -267,7 +277,7 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         """Move by one control tick.
 
         Args:
-            action: (a,) as in ``action_space``.
+            action: (a,) an element of ``action_space``.
 
         Returns:
             Observation, reward, terminated, truncated and info, as in Gymnasium.
@@ -304,7 +314,7 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         return trace_of(self._checked.scenario, self._world, self._controller, done, ended)
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture (480, 640, 3) of the cell from outside; None without a ``render_mode``."""
+        """Return a picture (480, 640, 3) of the cell from outside, or None without a ``render_mode``."""
         if self.render_mode is None or not self._begun:
             return None
         if self._viewer is None:
@@ -348,7 +358,10 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         self._seen = self._controller.perceive(self._observation)
 
     def _command(self, wanted: NDArray[np.float64], *, last: bool) -> None:
-        """Carry out ``wanted`` (6,) or (n,), and advance the world to the next tick unless ``last``."""
+        """Carry out the action ``wanted``, shape (6,) or (n,).
+
+        Unless ``last`` is True, the world then advances to the next tick.
+        """
         tick = self._ticks[self._tick : self._tick + 1]
         command = self._controller.carry_out(wanted, self.setting.by_joints, False, self._observation)
         self._controller.report(tick)
@@ -365,7 +378,10 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         return shown
 
     def _info(self) -> dict[str, Any]:
-        """Return what ``reset`` describes; ``margins`` are the least [SI] at a tick so far."""
+        """Return the info that ``reset`` describes.
+
+        The margins are the least margins at the ticks so far, in SI units.
+        """
         margins = {sentence: float(least[0]) for sentence, least in self._least.items()}
         success = bool(self.setting.rewards.succeeds(self._least, self._way_m)[0])
         cost = {"cost": float(self._cost[0])} if margins else {}  # a cost of no claim would be 0 for ever
@@ -375,7 +391,10 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
 def _repeated(
     given: dict[str, Any], seed: int | None, number: int, begun: bool, actions: list[NDArray[np.float64]]
 ) -> HarnessEnv:
-    """Return an environment made of ``given`` that has repeated ``actions`` in the draw before ``number``."""
+    """Make an environment from the arguments ``given``, carry out ``actions`` in it, and return it.
+
+    If an episode has ``begun``, it is the draw before ``number``.
+    """
     env = HarnessEnv(**given)
     env._stream = env.setting.episodes.stream(seed, number - begun)
     if begun:

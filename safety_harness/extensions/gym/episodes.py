@@ -1,4 +1,7 @@
-"""Provide an environment's episodes: one scenario, or those draws of a space that can run."""
+"""Provide the episodes of an environment.
+
+The episodes are repetitions of one scenario, or those draws of a space that can run.
+"""
 
 from __future__ import annotations
 
@@ -24,10 +27,10 @@ File = str | Path
 
 
 class Episodes:
-    """The source of an environment's episodes: one ``scenario``, or draws of a ``space``.
+    """The source of an environment's episodes: either one ``scenario``, or draws from a ``space``.
 
-    All episodes have observations and actions of the same size. Hand slots, arm, desired pose, motion limits
-    and clock must therefore equal those of the ``first`` episode.
+    Observations and actions must have the same size in all episodes. The hand slots, the arm, the desired
+    pose, the motion limits and the clock must therefore be the same as in the ``first`` episode.
     """
 
     def __init__(
@@ -43,7 +46,7 @@ class Episodes:
         self.first = self.next_of(self.stream(None))
 
     def stream(self, seed: int | None, number: int = 0) -> EpisodeStream:
-        """Return the episodes of stream ``seed`` from draw ``number`` on."""
+        """Return the episodes of stream ``seed``, beginning with draw ``number``."""
         return EpisodeStream(self, seed, number)
 
     def next_of(self, stream: EpisodeStream) -> Checked:
@@ -103,12 +106,13 @@ class Episodes:
 
 @dataclass(eq=False)
 class EpisodeStream(Iterator[Checked]):
-    """Episodes without end; a copy of a stream goes on as the original does.
+    """An endless stream of episodes; a copy of the stream continues in the same way as the original.
 
-    A space yields those draws of stream ``seed`` that can run. A scenario yields itself again and again. If
-    ``seed`` is given, episode k of the scenario gets the seed of leaf k. If it is None, a space yields stream
-    0, and a scenario keeps its own seed. ``number`` is the draw to try next. ``drawn`` names
-    the last draw, with its stream.
+    For a space, the stream yields the draws with the stream number ``seed``, except draws that cannot run.
+    For a scenario, it yields the same scenario repeatedly. If ``seed`` is given, episode k of the scenario
+    gets the seed of leaf k. If it is None, a space yields stream 0, and a scenario keeps its own seed.
+    ``number`` is the draw to try next. ``drawn`` is the name of the last draw, which includes the stream
+    number.
     """
 
     episodes: Episodes
@@ -124,7 +128,7 @@ class EpisodeStream(Iterator[Checked]):
 
 
 def stream_number(seed: object, place: str = "seed") -> int:
-    """Return ``seed`` as an int; raise InadmissibleError for a negative number or no integer."""
+    """Return ``seed`` as an int; raise InadmissibleError if it is negative or not an integer."""
     try:
         number = index(seed)  # type: ignore[arg-type]  # what it refuses is refused here
     except TypeError:

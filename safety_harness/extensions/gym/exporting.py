@@ -1,4 +1,4 @@
-"""Export a policy of Stable-Baselines3 as an ONNX file that the harness runs as a controller."""
+"""Export a policy of Stable-Baselines3 to an ONNX file, which the harness can run as a controller."""
 
 from __future__ import annotations
 
@@ -31,8 +31,9 @@ def export_policy(
 ) -> Path:
     """Write the deterministic policy of a ``model`` to ``file``, and return its path.
 
-    The file contains the normalisation of observations and the scale of actions, and repeats each action as
-    long as in training. The file's answers are compared with the model's before it is written.
+    The file contains the normalisation of observations and the scale of actions. It repeats each action for
+    as many ticks as in training. Before the file is written, its answers are compared with the model's
+    answers.
 
     Args:
         model: A trained PPO, A2C, SAC, TD3 or DDPG.
@@ -40,7 +41,7 @@ def export_policy(
             and ``VecNormalize``. Its normalisation is that of the file.
         file: The file to write, FILE.onnx.
         name: The policy's name in reports.
-        training: The training data and method, for evidence reports.
+        training: A description of the training data and method, for evidence reports.
 
     Raises:
         InadmissibleError: Another wrapper changes observations or actions, the model is of another kind, or
@@ -65,7 +66,7 @@ def export_policy(
 
 
 def _copy_on_cpu(policy: Any) -> Any:
-    """Return a copy of a ``policy``, which may lie on a GPU, as Stable-Baselines3 stores and loads it."""
+    """Return a copy of ``policy`` on the CPU, made by storing and loading it with Stable-Baselines3."""
     stored = io.BytesIO()
     policy.save(stored)
     stored.seek(0)
@@ -73,7 +74,10 @@ def _copy_on_cpu(policy: Any) -> Any:
 
 
 def _unwrapped(environment: Any) -> tuple[StableBaselinesEnv, Any]:
-    """Return the innermost environment, and the one VecNormalize that normalises observations, or None."""
+    """Return the innermost environment and its VecNormalize.
+
+    The second result is None if no wrapper normalises observations.
+    """
     normalisers, inner = [], environment
     while isinstance(inner, VecMonitor | VecNormalize):
         normalisers += [inner] if isinstance(inner, VecNormalize) and inner.norm_obs else []
@@ -87,7 +91,10 @@ def _unwrapped(environment: Any) -> tuple[StableBaselinesEnv, Any]:
 
 
 def _refuse_another(model: BaseAlgorithm, environment: StableBaselinesEnv, normaliser: Any) -> None:
-    """Refuse an environment that differs from the one of the model, as far as the model knows its own."""
+    """Raise InadmissibleError if the environment differs from the environment of the model's training.
+
+    If the model no longer has its environment, only the spaces are compared.
+    """
     expected = "the environment of the training"
     if environment.observation_space != model.observation_space:
         raise InadmissibleError.of_option("environment", expected, "other observations")
@@ -110,7 +117,7 @@ def _refuse_another(model: BaseAlgorithm, environment: StableBaselinesEnv, norma
 
 
 def _alike(own: Any, given: Any, fields: Sequence[str]) -> bool:
-    """Return whether two normalisations map every observation alike."""
+    """Return True if two normalisations map every observation to the same values."""
     first, second = _normalisation(own, fields), _normalisation(given, fields)
     return first.keys() == second.keys() and all(
         torch.equal(*pair) for field in first for pair in zip(first[field], second[field], strict=True)
@@ -118,7 +125,7 @@ def _alike(own: Any, given: Any, fields: Sequence[str]) -> bool:
 
 
 class _Policy(nn.Module):
-    """The mean action [SI] for named observations."""
+    """A network that returns the mean action [SI] for observations by field."""
 
     def __init__(self, policy: Any, environment: StableBaselinesEnv, normaliser: Any) -> None:
         super().__init__()
@@ -128,7 +135,7 @@ class _Policy(nn.Module):
         self.normalised = {} if normaliser is None else _normalisation(normaliser, self.fields)
 
     def actions(self, seen: Sequence[torch.Tensor]) -> torch.Tensor:
-        """Return the actions (n, a) for observations by field, each with n rows."""
+        """Return the actions (n, a); ``seen`` contains the observations of each field, with n rows."""
         observed = dict(zip(self.fields, seen, strict=True))
         for field, (mean, deviation, most) in self.normalised.items():
             observed[field] = ((observed[field] - mean) / deviation).clamp(-most, most)
@@ -149,13 +156,13 @@ class _Policy(nn.Module):
         return action
 
     def forward(self, *seen: torch.Tensor) -> Any:
-        """Return the actions by output."""
+        """Return the actions as one tensor for each output."""
         actions = self.actions(seen)
         return actions if self.by_joints or actions.shape[1] == 3 else (actions[:, :3], actions[:, 3:])
 
 
 def _normalisation(normaliser: Any, fields: Sequence[str]) -> dict[str, tuple[torch.Tensor, ...]]:
-    """Return mean, deviation and largest value of each normalised field."""
+    """Return the mean, the standard deviation and the clipping limit of each normalised field."""
     made = {}
     for field in normaliser.norm_obs_keys or fields:
         statistics = normaliser.obs_rms[field]
@@ -188,7 +195,7 @@ def _onnx(policy: _Policy, environment: StableBaselinesEnv, name: str, training:
 def _refuse_unlike(
     model: BaseAlgorithm, environment: StableBaselinesEnv, normaliser: Any, policy: _Policy, data: bytes
 ) -> None:
-    """Compare the file's answers with those of the model to random observations."""
+    """Raise InadmissibleError if the file and the model answer random observations differently."""
     ONNX.require("the comparison of the file with the model")
     import onnxruntime
 

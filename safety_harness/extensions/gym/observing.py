@@ -14,11 +14,11 @@ from safety_harness.seams.contract import IMAGE, SIGHTS
 def observation_space(
     seen: SeenRows, sees: tuple[str, ...], image: tuple[int, int, int] | None = None
 ) -> spaces.Dict:
-    """Return the space of one lane of ``observed``, and of the image.
+    """Return the space of the observations in one lane, including the image.
 
     Args:
-        seen: (1,) SEEN, which determines the shapes.
-        sees: Words of a controller's contract, which name the observed quantities.
+        seen: A record (1,) of the dtype SEEN. It determines the shapes.
+        sees: The observed quantities, in the words of a controller's contract.
         image: The shape (height, width, 3) of the observed image.
 
     Raises:

@@ -1,15 +1,15 @@
-"""Compute rewards from claims: the shortfall at each tick, and the progress to the desired pose.
+"""Compute rewards from violations of claims at each tick, and from progress to the desired pose.
 
-A claim is usable if its margin is the least value of a number over the ticks of a run. The number must depend
-on a single tick. Let m_k [SI] be this number at tick k, and T the control period. A claim of weight w then
-contributes the reward
+A claim is usable if it assigns a number to each tick, and its margin is the smallest of these numbers in a
+run. Each number must depend on its tick alone. Let m_k [SI] be this number at tick k, and T the control
+period. A claim of weight w then contributes the reward
 
-    r_k = w T min(m_k, 0),
+    r_k = w T min(m_k, 0).
 
-which is zero at a tick that meets the claim, and negative at any other tick. An episode whose ticks all meet
-the claim therefore costs 0. Progress of weight w contributes r_k = w (d_(k-1) - d_k), where d [m] is the
-TCP's distance from the desired position. These rewards ignore the motion between two ticks, which only the
-verdicts on a trace judge.
+The reward is zero at a tick that satisfies the claim, and negative at any other tick. If all ticks of an
+episode satisfy the claim, the sum of these rewards is 0. With weight w, progress contributes r_k = w (d_(k-1)
+- d_k). Here d [m] is the distance of the TCP from the desired position. These rewards ignore the motion
+between two ticks, which only the verdicts on a trace judge.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ USABLE = (
 
 
 def nearest_m(ticks: Ticks) -> Floats:
-    """Return the least distance (n,) [m] from any hand to the arm, surface to surface; inf without a hand."""
+    """Return the least distance (n,) [m] between the surfaces of the arm and any hand; inf without a hand."""
     nearest: Floats = np.where(ticks["hand_present"], ticks["hand_distance_m"], np.inf).min(axis=1)
     return nearest
 
@@ -60,7 +60,10 @@ _SIGNALS: dict[Signal, OfTicks] = {
 
 
 def margins_of(claim: Property, arm: ArmModel) -> OfTicks | None:
-    """Return the function from (n,) TICK to the claim's numbers (n,) [SI]; None for an unusable claim."""
+    """Return a function that computes the claim's numbers at n ticks, or None if the claim is not usable.
+
+    The function maps an array (n,) of the dtype TICK to an array (n,) in SI units.
+    """
     lower, upper = arm.position_lower_rad, arm.position_upper_rad
     if isinstance(claim, HandDistance):
         least_m = claim.minimum_m
@@ -78,7 +81,10 @@ def margins_of(claim: Property, arm: ArmModel) -> OfTicks | None:
 
 
 def _formula_margins(formula: object) -> OfTicks | None:
-    """Return the margins of "always SIGNAL < LIMIT" without a window, if SIGNAL depends on a single tick."""
+    """Return the function for a formula such as "always SIGNAL < LIMIT" without a window.
+
+    Return None for another formula, or if SIGNAL does not depend on a single tick.
+    """
     if not isinstance(formula, Always) or formula.span is not None:
         return None
     compared = formula.body
@@ -91,7 +97,7 @@ def _formula_margins(formula: object) -> OfTicks | None:
 
 @dataclass(frozen=True, eq=False)
 class Rewards:
-    """The rewarded claims with their weights, and the claims whose violation ends an episode."""
+    """The claims that affect rewards, their weights, and the claims whose violation ends an episode."""
 
     margins: Mapping[str, OfTicks]
     weights: Mapping[str, float]  # only the rewarded claims
@@ -102,7 +108,7 @@ class Rewards:
 
     @classmethod
     def of_claims(cls, rewards: Mapping[str, float], ends: Sequence[str], checked: Checked) -> Rewards:
-        """Return the rewards for the claims with the sentences of ``rewards`` and ``ends``.
+        """Return the rewards for the claims whose sentences are in ``rewards`` and ``ends``.
 
         Args:
             rewards: The weight of each claim, and of "progress". Weights are finite and at least 0.
@@ -143,14 +149,17 @@ class Rewards:
         return left
 
     def at(self, ticks: Ticks) -> dict[str, Floats]:
-        """Return for each claim its margin (n,) at each of ``ticks`` (n,) TICK, but not between them."""
+        """Return the margins of each claim at ``ticks`` (n,), shape (n,).
+
+        The margins ignore the motion between ticks.
+        """
         return {sentence: of_ticks(ticks) for sentence, of_ticks in self.margins.items()}
 
     def of_step(self, margins: Mapping[str, Floats], way_m: Floats, way_before_m: Floats) -> Floats:
         """Return the reward (n,) of one step.
 
         Args:
-            margins: For each claim, the margin (n,) at the end of the step.
+            margins: The margins (n,) of each claim at the end of the step.
             way_m: The distance (n,) to the desired position at the end of the step [m].
             way_before_m: The distance (n,) at the beginning of the step [m].
 
@@ -161,24 +170,30 @@ class Rewards:
         return total
 
     def cost_of(self, margins: Mapping[str, Floats], count: int) -> Floats:
-        """Return the number (n,) of claims that each tick violates; a margin of NaN counts as a violation."""
+        """Return how many claims are violated at each tick, shape (n,).
+
+        A margin of NaN is a violation.
+        """
         cost = np.zeros(count)
         for margin in margins.values():
             cost += ~(margin >= 0.0)
         return cost
 
     def succeeds(self, least: Mapping[str, Floats], way_m: Floats) -> NDArray[np.bool_]:
-        """Return (n,) true where the TCP has arrived and no tick so far violated a claim.
+        """Return whether the TCP has arrived without a violation of any claim so far, shape (n,).
 
         Args:
-            least: For each claim, the least margin (n,) so far.
+            least: The least margin (n,) of each claim so far.
             way_m: The distance (n,) to the desired position [m].
 
         """
         return np.asarray((way_m <= CONVERGED_POSITION_M) & (self.cost_of(least, len(way_m)) == 0.0))
 
     def ends_episode(self, margins: Mapping[str, Floats], count: int) -> NDArray[np.bool_]:
-        """Return (n,) true where a claim of ``ends`` is violated; a margin of NaN counts as a violation."""
+        """Return whether any claim in ``ends`` is violated, shape (n,).
+
+        A margin of NaN is a violation.
+        """
         ended = np.zeros(count, np.bool_)
         for sentence in self.ends:
             ended |= ~(margins[sentence] >= 0.0)

@@ -21,7 +21,7 @@ with POLICIES.needed("policies trained in environments"):
 class StableBaselinesEnv(VecEnv):
     """A Stable-Baselines3 view of ``environments``, with the chosen ``fields`` of observations.
 
-    An action of 1 stands for the largest value in the environments' action space.
+    An action of 1 stands for the largest value in the action space of ``environments``.
 
     Args:
         environments: The vector environment whose lanes are used.
@@ -49,7 +49,10 @@ class StableBaselinesEnv(VecEnv):
         self._actions = np.zeros((self.num_envs, *self.largest_action.shape))
 
     def reset(self) -> Arrays:
-        """Begin an episode in each lane; after a new seed, begin the first episode of that seed."""
+        """Begin an episode in each lane.
+
+        If a lane has a new seed, it begins the first episode of this seed.
+        """
         seeds = None if all(seed is None for seed in self._seeds) else self._seeds
         self._reset_seeds()
         return self._shown(self.environments.reset(seed=seeds)[0])
@@ -61,8 +64,9 @@ class StableBaselinesEnv(VecEnv):
     def step_wait(self) -> tuple[Arrays, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Step each lane by ``ticks`` with the stored actions.
 
-        A lane whose episode ends waits at the start of its next episode until all lanes have finished. Each
-        info has the ``cost`` of these ticks. At an episode's end it also has ``is_success`` and the margins.
+        If a lane's episode ends before all ``ticks`` have passed, the next episode of the lane begins at
+        once. The action is then zero during the remaining ticks. Each info contains the ``cost`` of the
+        lane's ticks in this step. At the end of an episode, it also contains ``is_success`` and the margins.
         """
         claims = self.environments.setting.rewards.margins
         infos: list[dict[str, Any]] = [{"cost": 0.0} if claims else {} for _ in range(self.num_envs)]
@@ -91,7 +95,7 @@ class StableBaselinesEnv(VecEnv):
         self.environments.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Return the attribute of ``environments`` for each lane of ``indices``."""
+        """Return the attribute ``attr_name`` of ``environments`` for each lane in ``indices``."""
         values = self.environments.get_attr(attr_name)
         return [values[lane] for lane in self._get_indices(indices)]
 

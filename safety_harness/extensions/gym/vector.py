@@ -1,4 +1,7 @@
-"""Run many episodes at once in the kinematic world, as a vector environment with one compiled call a step."""
+"""Run many episodes at once in the kinematic world, as a vector environment.
+
+A step of all episodes is a single call of compiled code.
+"""
 
 from __future__ import annotations
 
@@ -28,13 +31,14 @@ from safety_harness.trace.records import as_compiled, tick_dtype
 
 
 class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
-    """``num_envs`` environments in lanes, whose results are bit for bit those of a ``HarnessEnv``.
+    """A vector environment with ``num_envs`` lanes.
 
-    Lane i begins stream seed + i; without a seed, it begins stream i. When the episode of a lane ends, the
-    lane is reset within the same step. As in Gymnasium, ``info["final_obs"]`` then has the last observation
-    of each lane that ended, None for the others, and ``info["final_info"]`` has one row for each lane. The
-    world is the kinematic world. Lanes record no traces; a ``HarnessEnv`` with the lane's seed and the same
-    arguments records the trace.
+    The results in each lane are bit-identical to the results of a ``HarnessEnv``. Lane i begins stream seed +
+    i; without a seed, it begins stream i. When the episode of a lane ends, the lane is reset within the same
+    step. In this step, ``info["final_obs"]`` has one entry for each lane. The entry is the last observation
+    of an episode that ended, and otherwise None. ``info["final_info"]`` has one row for each lane. Both
+    entries of ``info`` are the same as in Gymnasium. The world is the kinematic world. Lanes record no
+    traces; a ``HarnessEnv`` with the lane's seed and the same arguments records the trace.
 
     Args:
         num_envs: The number of lanes.
@@ -47,7 +51,8 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
         ends: As for ``HarnessEnv``.
 
     Raises:
-        InadmissibleError: As for ``HarnessEnv``, for another world, or for fewer than one lane.
+        InadmissibleError: An argument cannot be used, the world is not the kinematic world, or there is no
+            lane.
 
     """
 
@@ -92,15 +97,18 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
         """Begin an episode in every lane.
 
         Args:
-            seed: A number: lane i begins stream seed + i. A list: lane i begins the stream of entry i. None,
-                or an entry None: the lane continues its stream.
+            seed: If it is a number, lane i begins stream seed + i. If it is a list, lane i begins the stream
+                whose number is entry i. If it is None, or if the lane's entry is None, the lane continues its
+                stream.
             options: Ignored.
 
         Returns:
-            Observations (lanes, ...) and info, whose entries (lanes,) are those of ``HarnessEnv.reset``.
+            Observations (lanes, ...) and info. The info has the same entries as in ``HarnessEnv.reset``, and
+            each entry has one value for each lane.
 
         Raises:
-            InadmissibleError: A seed is no integer, or negative, or there is not one entry for each lane.
+            InadmissibleError: A seed is negative or not an integer, or the list does not have one entry for
+                each lane.
 
         """
         for lane, own in enumerate(self._seeds(seed)):
@@ -152,6 +160,8 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
         ended = np.flatnonzero(terminated | truncated)
         observation = self._observed()
         if len(ended):
+            # Gymnasium's SAME_STEP: the last observation of an episode is in info, because the lane begins
+            # the next one.
             info["final_obs"] = np.full(self.num_envs, None, object)
             info["final_info"], info["_final_obs"] = self._info(), terminated | truncated
             info["_final_info"] = info["_final_obs"].copy()
@@ -163,10 +173,11 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
         return observation, reward, terminated, truncated, info | self._info()
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Return the attribute ``name`` once for each lane; ``scenario`` is the name of each lane's draw.
+        """Return the attribute ``name`` once for each lane; ``scenario`` returns the names of the draws.
 
         Raises:
-            AttributeError: There is no such attribute, or it is a method: lanes have none of their own.
+            AttributeError: The attribute does not exist, or it is a method; lanes have no methods of their
+                own.
 
         """
         if name == "scenario":
@@ -186,7 +197,7 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
 
     @property
     def _ticks(self) -> NDArray[np.void]:
-        """The present truth of all lanes, as (lanes,) TICK."""
+        """The present true state of all lanes, as (lanes,) TICK."""
         return self._worlds.truth[:, 0].view(self._tick_dtype)
 
     def _begin(self, lane: int) -> None:
@@ -195,12 +206,13 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
         self._worlds = placed(self._worlds, lane, world)
         self._controllers = placed(self._controllers, lane, controller)
         self._left[lane], self._names[lane] = checked.scenario.ticks, self._streams[lane].drawn
+        # A negative last tick excludes a lane, so that only the lane that begins is observed.
         alone = np.full(self.num_envs, -1)
         alone[lane] = 0
         self._acts.observe(self._worlds, self._controllers, alone, self._wants)
 
     def _measured(self, lanes: NDArray[np.int64]) -> None:
-        """Set the margins and distances of ``lanes`` (k,) at the start of their episodes."""
+        """Compute and store the margins and distances of ``lanes`` (k,) at the start of their episodes."""
         ticks = self._ticks[lanes]
         rewards = self.setting.rewards
         self._way_m[lanes], margins = rewards.way_left_m(ticks), rewards.at(ticks)
@@ -212,7 +224,7 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
         return observed(self._controllers.seen[:, 0], self.setting.sees)
 
     def _info(self) -> dict[str, Any]:
-        """Return what ``HarnessEnv.reset`` describes, with one row for each lane."""
+        """Return the info that ``HarnessEnv.reset`` describes, with one row for each lane."""
         every = np.ones(self.num_envs, np.bool_)
         margins = {sentence: least.copy() for sentence, least in self._least.items()}
         success = self.setting.rewards.succeeds(self._least, self._way_m)
@@ -223,9 +235,10 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
 
 
 class _Acts:
-    """The control ticks of all lanes, without traces: each lane overwrites its one record in ``ticks``.
+    """The control ticks of all lanes, without a trace.
 
-    ``ticks`` (lanes, 1) are in the form that ``as_compiled`` returns.
+    Each lane has a single record in ``ticks``, which every tick overwrites. The records ``ticks`` (lanes, 1)
+    have the form that ``as_compiled`` returns.
     """
 
     def __init__(self, lanes: int, joints: int, ticks: NDArray[np.void]) -> None:
@@ -238,7 +251,7 @@ class _Acts:
     def carry_out(
         self, worlds: WorldRecords, controllers: DrivenRecords, wanted: NDArray[np.float64], by_joints: bool
     ) -> None:
-        """Make every lane carry out its action, a row of ``wanted`` (lanes, a)."""
+        """Carry out the actions of all lanes; ``wanted`` (lanes, a) has one row for each lane."""
         flags, lasts = self._flags, self.lasts
         (self._joints if by_joints else self._twists)[:] = wanted
         flags[0][:] = by_joints
@@ -252,7 +265,7 @@ class _Acts:
         lasts: NDArray[np.int64],
         wants: tuple[bool, bool],
     ) -> None:
-        """Observe the worlds in those lanes whose ``lasts`` (lanes,) are not negative."""
+        """Observe the world in each lane whose entry in ``lasts`` (lanes,) is not negative."""
         look_lanes(worlds, controllers, lasts, 0, *wants)
 
 

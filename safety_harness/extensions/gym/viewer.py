@@ -1,4 +1,7 @@
-"""Draw an episode as a picture from outside the cell, with PyBullet's software renderer, for any world."""
+"""Draw pictures of an episode in any world, with PyBullet's software renderer.
+
+The camera is outside the cell.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,7 @@ _HAND = np.dtype(
 
 
 class Viewer:
-    """The cell of an episode in a PyBullet client of its own; use it as a context manager."""
+    """A drawing of an episode's cell in a separate PyBullet client; use it as a context manager."""
 
     def __init__(self, checked: Checked) -> None:
         self._hands = len(checked.scenario.hands)
@@ -41,7 +44,7 @@ class Viewer:
         pybullet.disconnect(physicsClientId=self._client)
 
     def picture(self, tick: np.void) -> NDArray[np.uint8]:
-        """Return the picture (480, 640, 3) of arm and hands as they are at ``tick``."""
+        """Return a picture of the arm and the hands at ``tick``, shape (480, 640, 3)."""
         hands = np.zeros(self._hands, _HAND)
         hands["present"] = tick["hand_present"][: self._hands]
         hands["position_in_base_m"] = tick["hand_position_in_base_m"][: self._hands]
@@ -56,7 +59,10 @@ class Viewer:
 
 
 def _camera_to_base() -> NDArray[np.float64]:
-    """Return the pose (4, 4) of a level camera at the eye that looks at the target, with y down."""
+    """Return the pose of a level camera that is at the eye and looks at the target, shape (4, 4).
+
+    The camera's y axis points down.
+    """
     ahead = (TARGET_IN_BASE_M - EYE_IN_BASE_M) / length(TARGET_IN_BASE_M - EYE_IN_BASE_M)
     right = np.cross(ahead, [0.0, 0.0, 1.0])
     right /= length(right)

@@ -1,4 +1,4 @@
-"""The scoring of avoiders without a cell: ``safety_harness.evaluate``, its result, and the result's page."""
+"""Score avoiders without a simulated cell: the function ``safety_harness.evaluate`` and its result."""
 
 from __future__ import annotations
 
@@ -40,18 +40,23 @@ def evaluate(
 ) -> EvaluationResult:
     """Score the answers of avoiders to many questions, without a gate and without a simulation.
 
-    Ctrl-C ends the job, and the result keeps the finished avoiders.
+    If Ctrl-C interrupts the function, it returns the scores of the avoiders that are finished.
 
     Args:
-        avoiders: One or many: names of shipped avoiders, ``FILE.py:NAME``, model files.
-        regions: Names of regions from which to draw questions; without regions and spaces, all regions.
-        spaces: Scenario spaces.  The questions are those that arise in draws of a space.
-        against: A reference avoider.  The result omits findings that it has too; None: no reference.
-        questions: The number of questions in the first region; None: as many as the avoider's speed allows.
-        search: The number of questions in the search for the worst answers; 0: no search.
+        avoiders: One avoider or several.  Each is the name of a shipped avoider, ``FILE.py:NAME`` or a model
+            file.
+        regions: Names of the regions from which to draw questions.  If both ``regions`` and ``spaces`` are
+            empty, the function uses all regions.
+        spaces: Scenario spaces.  The function also draws questions that can arise in these spaces.
+        against: A reference avoider.  The result omits each finding that the reference avoider has too.  None
+            means no reference avoider.
+        questions: The number of questions in the first region.  None means that the avoider's speed
+            determines the number.
+        search: The number of questions in the search for the worst answers. 0 means no search.
         seed: The root of every random number.
-        out: A folder.  The search writes each worst question there at once; None: no folder.
-        output: Receives the progress.
+        out: The folder to which the search writes scenario files of the worst questions as it finds them.
+            None means no files.
+        output: The receiver of progress messages.
 
     Returns:
         The scores of each avoider, and the findings.
@@ -90,8 +95,8 @@ class EvaluationResult:
     """The scores of avoiders, and the findings about them.
 
     Args:
-        scored: For each avoider, its score card, its findings, and its worst questions.
-        command: The command that repeats the scores, without its folder.
+        scored: The score card, the findings and the worst questions of each avoider.
+        command: The command line that repeats the scoring, without the option for the folder.
         folder: The folder of the worst questions; None if there is no folder.
 
     """
@@ -102,12 +107,12 @@ class EvaluationResult:
 
     @property
     def avoiders(self) -> tuple[ScoredAvoider, ...]:
-        """The avoiders that answered, each with its ``findings`` and ``unlike``."""
+        """The results of the avoiders that answered; each result has ``findings`` and ``unlike``."""
         return tuple(self.scored.avoiders)
 
     @property
     def exit_code(self) -> int:
-        """The command's exit code."""
+        """The exit code of the command ``evaluate`` for this result."""
         if self.scored.interrupted:
             return INTERRUPTED
         if self.scored.failed or not self.avoiders:
@@ -125,14 +130,16 @@ class EvaluationResult:
         return document(self.scored)
 
     def write(self, folder: str | Path, output: Output = QUIET) -> EvaluationResult:
-        """Write evaluation.html, evaluation.json, and the worst questions that are not in the folder yet.
+        """Write evaluation.html, evaluation.json and the scenario files of the worst questions to a folder.
+
+        If the search has already written the scenario files to this folder, the method leaves them unchanged.
 
         Args:
             folder: The folder.
-            output: Receives lines.
+            output: The receiver of messages about the written files.
 
         Returns:
-            The result, with the files of the folder.
+            A copy of the result that refers to the files in the new folder.
 
         Raises:
             OutputError: The folder cannot be written.
@@ -159,7 +166,7 @@ class EvaluationResult:
 
 
 def _moved(shown: ShownQuestion, folder: Path) -> ShownQuestion:
-    """Write a worst question's file to another folder, and return the question."""
+    """Write the scenario file of a worst question to another folder, and return the updated question."""
     old = shown.file.path
     assert old is not None  # the results contain only questions with a file
     path = folder / old.name

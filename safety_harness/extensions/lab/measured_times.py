@@ -1,4 +1,4 @@
-"""The answer times of an avoider or a controller, measured on this machine, as a profile for scenarios."""
+"""Measure the answer times of an avoider or a controller on this machine, as a profile for scenarios."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ AROUND_M = 0.15  # half the box about the nominal hand and the desired TCP, on e
 
 @dataclass(frozen=True, eq=False)
 class MeasuredTimes:
-    """The times (n,) of answers [s], the number of faults, and the record of the measurement."""
+    """The measured answer times, shape (n,) [s], the number of faults, and a record of the measurement."""
 
     avoider_name: str
     times_s: NDArray[np.float64]
@@ -46,17 +46,17 @@ class MeasuredTimes:
 
     @property
     def profile(self) -> DecisionTimes:
-        """The profile from which a scenario draws its decision times."""
+        """The profile from which a scenario can draw its simulated decision times."""
         quantiles_s = self.quantiles_s(*np.linspace(0.0, 1.0, QUANTILES))
         return DecisionTimes(quantiles_s=tuple(quantiles_s), measured=self.measured)
 
     def quantiles_s(self, *shares: float) -> list[float]:
-        """Return the times [s] within which ``shares`` of the answers came."""
+        """Return the quantiles [s] of the answer times for the given fractions."""
         return [float(np.quantile(self.times_s, share)) for share in shares]
 
 
 def measured_times(reference: str, questions: int, seed: int) -> MeasuredTimes:
-    """Return the measured times in which an avoider answers one question after another.
+    """Measure an avoider's answer times, one question after another.
 
     If the avoider is a Python file, the function executes it.
 
@@ -67,7 +67,7 @@ def measured_times(reference: str, questions: int, seed: int) -> MeasuredTimes:
 
     Raises:
         InadmissibleError: The avoider does not exist, or every answer is a fault.
-        NoAnswerError: The first answer does not come.
+        NoAnswerError: The avoider does not answer the first question in time.
 
     """
     scenario, place = scenario_of_avoider(reference), Place(field="AVOIDER")
@@ -84,14 +84,14 @@ def measured_times(reference: str, questions: int, seed: int) -> MeasuredTimes:
 
 
 def measured_controller(reference: str, scenario: Scenario, answers: int) -> MeasuredTimes:
-    """Return the measured times of a controller's answers, in runs of ``scenario`` in the kinematic world.
+    """Measure a controller's answer times in runs of ``scenario`` in the kinematic world.
 
-    A run counts as one question after another, although its answers cost no simulated time.
+    In these runs, the answers take no simulated time.
 
     Args:
         reference: The controller.
-        scenario: The scenario, whose seed is that of the first run.
-        answers: The least number of answers.
+        scenario: The scenario.  The first run uses its seed, and each later run uses another seed.
+        answers: The least number of answers to measure.
 
     Raises:
         InadmissibleError: The controller does not exist, or the scenario cannot be used.
@@ -111,6 +111,8 @@ def measured_controller(reference: str, scenario: Scenario, answers: int) -> Mea
         if trace.ended == INTERRUPTED:
             raise KeyboardInterrupt
         acts = acts_per_answer_of(admitted.driver.controller)
+        # A controller may act several times on one answer.  The times of these calls add up to the answer's
+        # time.
         times_s += np.add.reduceat(trace.answer_s, np.arange(0, len(trace.answer_s), acts)).tolist()
     component = named_system(driven).tested
     measured = Measured(
@@ -120,7 +122,7 @@ def measured_controller(reference: str, scenario: Scenario, answers: int) -> Mea
 
 
 def machine() -> str:
-    """Return processor, system and Python version in words, for reports."""
+    """Return a text with the processor, the operating system and the Python version, for reports."""
     processor = platform.processor() or platform.machine()
     try:
         with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as file:
@@ -133,14 +135,14 @@ def machine() -> str:
 
 
 def answer_times_s(avoider: Avoider, questions: int, seed: int) -> tuple[NDArray[np.float64], int]:
-    """Return the times (n,) of the answers [s] and the number of faults.
+    """Measure an avoider's answer times, shape (n,) [s], and count its faulty answers.
 
-    The process that computes an answer also measures its time.
+    The process that computes an answer also measures the time of the computation.
 
     Args:
         avoider: The avoider.
         questions: The number of questions.
-        seed: The root of the questions, which are near the nominal hand and the desired TCP.
+        seed: The root of the random questions, which lie near the nominal hand and the desired TCP.
 
     """
     rng = generator(seed, Branch.DECISION_TIME, 0)

@@ -1,9 +1,10 @@
-"""Judge the sets of a predictor: at an instant that is drawn for each run, they must hold every hand.
+"""Check that the predicted sets contain every hand at one random instant of each run.
 
-A set that holds the hand in 95 % of all cases may miss it.  So one run shows little, and the share of runs in
-which it misses is what a plan bounds.  Instants of one run depend on each other; therefore each run counts
-once, at an instant that is drawn from the run's seed with the same probability for all.  Then runs with
-independent seeds are independent, and the exact bound of a campaign holds for the share of misses.
+A predicted set that contains the hand in 95 % of all cases misses the hand in 5 %.  A single run therefore
+shows little, and a plan bounds the fraction of runs in which the sets miss a hand.  The instants within a run
+are not independent.  The claim therefore evaluates only one instant of each run, which the run's seed selects
+at random with equal probabilities.  Runs with independent seeds are then independent trials, and the exact
+bound of a campaign applies to the fraction of misses.
 """
 
 from __future__ import annotations
@@ -29,13 +30,17 @@ NO_SET = -1.0  # the limit of (1 - g)/(1 + g), for a hand that the predictor doe
 
 @dataclass(frozen=True, kw_only=True)
 class HeldBySets(Worded):
-    """The least (1 - g)/(1 + g) over the hands at the drawn instant, with the least gauge g over all sets.
+    """A claim about predicted sets: they contain every hand at one random instant of a run.
 
-    The gauge of a hand is 0 at a set's centre, 1 on its surface, and proportional on each ray. A prediction
-    at time t is for t plus the horizon. The true hands at that time are interpolated linearly between two
-    ticks. A set with a half width above ``most_m`` along an axis of the base holds no hand, since a set of
-    the whole room would hold each. An instant can be drawn if a hand has been there for ``since_s``, and only
-    such hands count.
+    The margin is the least (1 - g)/(1 + g) over the hands at this instant. Here g is the hand's smallest
+    gauge over all predicted sets.
+
+    The gauge of a hand is 0 at a set's centre and 1 on its surface, and it grows linearly along each ray. The
+    predictor's output at time t is a prediction for the time t plus the horizon. The claim interpolates the
+    true hands at this later time linearly between two ticks. It ignores a set whose half width exceeds
+    ``most_m`` along an axis of the base, because a set that fills the room would contain every hand. The
+    claim evaluates only hands that have been present for ``since_s``. It draws the instant from all instants
+    with such a hand.
     """
 
     most_m: float
@@ -48,7 +53,7 @@ class HeldBySets(Worded):
 
     @reads(HANDS, also=["track_valid", "predicted_hand_in_base_m"])
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge the instant that the run's seed draws."""
+        """Evaluate the claim at the random instant that the run's seed selects."""
         if not trace.scenario.predictor:
             return inconclusive(self, "the scenario has no predictor")
         if not trace.scenario.hands:
@@ -69,9 +74,13 @@ class HeldBySets(Worded):
         return judged(self, trace, margin, trace.time_s[tick], reason, len(instants))
 
     def _counts(self, trace: Trace, ends: Ends) -> NDArray[np.bool_]:
-        """Return (k, hands) whether a hand has been there for ``since_s``, and still is at the horizon."""
+        """Return whether the claim evaluates a hand at a tick, shape (k, hands).
+
+        The hand must have been present for ``since_s``, and must still be present at the end of the horizon.
+        """
         present = trace.ticks["hand_present"][:, : len(trace.scenario.hands)].astype(np.bool_)
         ticks = np.arange(len(present))[:, None]
+        # The latest tick at which the hand was absent, or -1.
         absent = np.maximum.accumulate(np.where(present, -1, ticks), axis=0)
         since = self.since_s / trace.scenario.settings.clock.control_period_s
         long = present & (ticks - absent - 1 >= since - 1e-9)
@@ -80,9 +89,12 @@ class HeldBySets(Worded):
 
 
 def _ends_of_horizon(trace: Trace) -> Ends:
-    """Return, for each tick whose horizon ends in the trace, the ticks (k,) before and after that end.
+    """Return the ticks around the end of each prediction horizon, and interpolation weights, shape (k,) each.
 
-    The third array (k,) is the share of the second tick in the time between both.
+    The function uses the k ticks whose horizon ends within the trace.  The first two arrays contain the ticks
+    just before and just after the end of the horizon.
+
+    The third array contains the weight of the later tick in a linear interpolation.
     """
     at = predicted_at(trace)
     start = at.astype(np.int64)
@@ -91,10 +103,12 @@ def _ends_of_horizon(trace: Trace) -> Ends:
 
 
 def _gauges(trace: Trace, ends: Ends, most_m: float) -> NDArray[np.float64]:
-    """Return (k, hands) the least gauge of each true hand over the sets for its time; infinite without a set.
+    """Return the smallest gauge of each true hand over the sets predicted for its time, shape (k, hands).
 
-    Sets with a half width above ``most_m`` do not count.
-    k is the number of ticks whose predictions are for times within the trace.
+    The gauge is infinite if there is no such set.
+
+    The function ignores sets with a half width above ``most_m``.  Here k is the number of ticks whose
+    predictions are for times within the trace.
     """
     ticks, sets = trace.ticks, trace.predicted
     start, later, part = ends
@@ -117,9 +131,13 @@ def _gauges(trace: Trace, ends: Ends, most_m: float) -> NDArray[np.float64]:
 
 
 def _in_ellipsoids(shape_m2: NDArray[np.float64], off_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (k, hands) the gauges sqrt(d' S^-1 d) of ``off_m`` (k, hands, 3) by ``shape_m2`` (k, 3, 3).
+    """Return the gauges sqrt(d' S^-1 d), shape (k, hands).
 
-    The inverse by cofactors has the same bits on each machine, which a solver from a library has not.
+    Here d is a row of ``off_m``, which has the shape (k, hands, 3), and S is the matrix in ``shape_m2``,
+    which has the shape (k, 3, 3).
+
+    The function inverts S by cofactors, because the result is then bit-identical on all machines.  A
+    library's solver does not guarantee this.
     """
     s, (x, y, z) = shape_m2, np.moveaxis(off_m, 2, 0)
     xx, yy, zz = (
@@ -137,7 +155,7 @@ def _in_ellipsoids(shape_m2: NDArray[np.float64], off_m: NDArray[np.float64]) ->
 
 
 def _size_words(trace: Trace, tick: int) -> str:
-    """Return the half widths of the sets at a tick, largest first, as words."""
+    """Return a text with the half widths of the sets at a tick, beginning with the largest set."""
     there = trace.ticks["track_valid"][tick]
     squares_m2 = np.diagonal(trace.predicted["shape_m2"][tick][there], axis1=1, axis2=2)
     sizes = sorted((np.sqrt(row) * 1e3 for row in squares_m2), key=lambda widths: -float(widths.max()))
@@ -146,7 +164,10 @@ def _size_words(trace: Trace, tick: int) -> str:
 
 
 def _lateness(trace: Trace, gauges: NDArray[np.float64]) -> str:
-    """Return how long after its first tick a hand was first held by a set, the greatest of all hands."""
+    """Return a text with the longest delay, over all hands, until a set first contained the hand.
+
+    The delay begins when the hand appears.  The text is empty if some hand was in no set at any tick.
+    """
     late_s = 0.0
     for hand in range(gauges.shape[1]):
         there = np.flatnonzero(trace.ticks["hand_present"][: len(gauges), hand])
@@ -159,14 +180,21 @@ def _lateness(trace: Trace, gauges: NDArray[np.float64]) -> str:
 
 HELD_BY_SETS = CatalogueEntry(
     prop=HeldBySets(most_m=0.4, since_s=0.2),
-    rationale="a controller that keeps out of a predicted set relies on the hand being in it",
-    source="split conformal prediction: the coverage of a set is a share of independent cases",
-    margin="(1 - g)/(1 + g) with the gauge g of the hand in its nearest set (0 at the centre, 1 on the "
-    "surface), least over the hands at the drawn instant; -100 % for a hand without a set, also if the "
-    "sensor does not see it",
-    parameters="the greatest half width of a set that counts; how long a hand has been there before it "
-    "counts; the prediction horizon in the settings",
-    exercised="a hand has been there for so long, and still is at the end of the horizon, within the run",
+    rationale="a controller that keeps out of a predicted set assumes that the set contains the hand",
+    source="split conformal prediction: the coverage of a set is a fraction of independent cases",
+    margin=(
+        "(1 - g)/(1 + g) with the gauge g of the hand in its nearest set (0 at the centre, 1 "
+        "on the surface), the least value over the hands at the drawn instant. The margin is "
+        "-100 % for a hand without a set, even if the sensor does not see the hand"
+    ),
+    parameters=(
+        "the greatest half width of a set that counts; the time for which a hand must be "
+        "present before it counts; the prediction horizon in the settings"
+    ),
+    exercised=(
+        "a hand has been present for the stated time, and is still present at the end of the "
+        "horizon, within the run"
+    ),
     inconclusive="the scenario has no predictor",
     broken_by="a predictor whose sets are too small, or that loses the hand",
 )

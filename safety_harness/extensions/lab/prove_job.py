@@ -1,4 +1,4 @@
-"""Proofs of claims about every answer of a network: ``safety_harness.prove``, its result and its page."""
+"""Prove claims about all answers of a network: the function ``safety_harness.prove`` and its result."""
 
 from __future__ import annotations
 
@@ -41,17 +41,17 @@ def prove(
     resume: str | Path | None = None,
     output: Output = QUIET,
 ) -> ProofResult:
-    """Prove claims about all answers of a small network to the questions in a region, within a time limit.
+    """Prove claims about a small network's answers to all inputs in a region, within a time limit.
 
-    Ctrl-C ends the job, and the result keeps the proofs so far.
+    If Ctrl-C interrupts the function, it returns the proofs in their current state.
 
     Args:
-        plan: A plan of proofs or its file.
+        plan: A plan of proofs, or the path of its file.
         minutes: The time limit for all claims together.
-        halvings: How often the prover may halve a box.
+        halvings: The largest number of times to halve a box.
         jobs: The number of processes.
-        resume: A folder with a certificate from which the job continues; None: start anew.
-        output: Receives the progress.
+        resume: A folder with a certificate whose proofs the function continues.  None means to start anew.
+        output: The receiver of progress messages.
 
     Returns:
         The proven, refuted and undecided part of each claim.
@@ -62,6 +62,7 @@ def prove(
     """
     read = plan if isinstance(plan, ProofPlan) else read_proof_plan(Path(plan))
     begun = fresh(read) if resume is None else taken_up(Path(resume) / CERTIFICATE, read)
+    # After an interruption, claims without new work keep their earlier proofs.
     proofs = list(begun)
     with ExitStack() as closing:
         stopped = closing.enter_context(one_more_ctrl_c(output.say, "interrupted: finishing the batch"))
@@ -89,11 +90,11 @@ class ProofResult:
 
     Args:
         plan: The plan.
-        proofs: One proof for each claim and region, with its ``verdict`` and ``least_shares``.
-        interrupted: Whether Ctrl-C ended the job.
+        proofs: The proof of each claim in its region; a proof has a ``verdict`` and ``least_shares``.
+        interrupted: Whether Ctrl-C interrupted the work.
         file: The file of the plan.
-        options: The options of the command that repeats the job.
-        claims: The certificate's entry for each claim, after ``write``.
+        options: The options of the command line that repeats the proofs.
+        claims: The entry of each claim in the certificate.  The tuple is empty before a call of ``write``.
 
     """
 
@@ -106,12 +107,12 @@ class ProofResult:
 
     @cached_property
     def bounds(self) -> tuple[JointBound, ...]:
-        """The bounds on wrong answers, if the plan has a distribution of questions."""
+        """The bounds on the probability of wrong answers, if the plan has a distribution of inputs."""
         return tuple(joint_bounds(self.plan, list(self.proofs)))
 
     @property
     def exit_code(self) -> int:
-        """The command's exit code."""
+        """The exit code of the command ``prove`` for this result."""
         if self.interrupted:
             return INTERRUPTED
         return AS_EXPECTED if all(proof.verdict == "proven" for proof in self.proofs) else DIFFERS
@@ -121,7 +122,7 @@ class ProofResult:
         return f"<{self.plan.avoider}, {each}. {BASIS_OF_ANSWERS}>"
 
     def data(self, folder: Path) -> dict[str, object]:
-        """Return the result as data for programs, with the files in ``folder``."""
+        """Return the result as data for other programs, including the paths of the files in ``folder``."""
         return {
             "page": folder / PAGE,
             "basis": BASIS_OF_ANSWERS,
@@ -131,14 +132,14 @@ class ProofResult:
         }
 
     def write(self, folder: str | Path, output: Output = QUIET) -> ProofResult:
-        """Write certificate.json, proof.html, and each refuting question as a scenario.
+        """Write certificate.json and proof.html, and write each question that refutes a claim as a scenario.
 
         Args:
             folder: The folder.
-            output: Receives lines.
+            output: The receiver of messages about the written files.
 
         Returns:
-            The result with the certificate's claims.
+            A copy of the result that contains the entries of the certificate in ``claims``.
 
         Raises:
             OutputError: The folder cannot be written.
@@ -174,16 +175,16 @@ class ProofResult:
 
 
 def write_question(plan: ProofPlan, proof: Proof, path: Path, output: Output) -> str | None:
-    """Write a scenario that begins with the question that refutes a claim.
+    """Write a scenario whose run begins with the question that refutes a claim.
 
     Args:
         plan: The plan.
         proof: A proof with such a question.
         path: The file.
-        output: Receives a line.
+        output: The receiver of a message about the written file.
 
     Returns:
-        The file's name; None if no run can begin with the question.
+        The name of the file, or None if no run can begin with the question.
 
     """
     assert proof.question is not None

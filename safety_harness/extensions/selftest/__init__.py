@@ -1,1 +1,1 @@
-"""Test the harness by mutation: seed faults into a sound system, and see which claims catch them."""
+"""Test the harness by mutation: seed faults into a correct system, and check which claims catch them."""

@@ -1,4 +1,4 @@
-"""Attribute seeded faults, whose causes are known, by running altered systems that contain a fault."""
+"""Test the attribution with seeded faults, whose causes are known."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ INGREDIENTS = {
 class SeededRunner:
     """A runner of altered systems that contain the fault.
 
-    It omits the fault from a system in which the faulty ingredient was replaced.
+    If attribution has replaced the faulty ingredient of a system by a correct one, this system runs without
+    the fault.
     """
 
     fault: SeededFault
@@ -35,7 +36,10 @@ class SeededRunner:
     around: ChangedSystem  # with the fault's circumstance, without the fault
 
     def __call__(self, systems: Sequence[Altered]) -> list[Trace | Exception]:
-        """Return the runs in the order of ``systems``; a system that fails yields its exception."""
+        """Run the ``systems``, and return the runs in the same order.
+
+        If a system fails, the result contains the exception instead of a run.
+        """
         return [self._run(system) for system in systems]
 
     def _run(self, altered: Altered) -> Trace | Exception:
@@ -54,10 +58,10 @@ class SeededRunner:
 def attribute_seeded(
     fault: SeededFault, magnitude: float, admitted: Admitted, claims: Sequence[Claim]
 ) -> tuple[Attribution, ...]:
-    """Return the causes that attribution finds for the violations of ``claims`` by a seeded fault.
+    """Return the causes to which attribution traces the violations of ``claims`` by a seeded fault.
 
-    Attribution tries a sound replacement for each part that can have a fault, so that nothing hints at the
-    faulty part.
+    Attribution tries a correct replacement for every part that can have a fault. It thus gets no hint about
+    the part that is actually faulty.
     """
     around = fault.circumstance.bring_about(ChangedSystem(admitted))
     run = SeededRunner(fault, magnitude, around)

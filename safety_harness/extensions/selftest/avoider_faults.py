@@ -1,7 +1,7 @@
-"""Faults in an avoider's answers.
+"""Define faults in an avoider's answers.
 
-These faults are tried behind the plain gate, which checks only reach. The full gate would prevent most of
-them from doing harm, so that the trial would test the gate.
+These faults are tried with the plain gate, which checks only reach. The full gate would prevent most of the
+faults from doing harm, so the trial would test the gate instead.
 """
 
 from __future__ import annotations
@@ -37,26 +37,26 @@ _spread = partial(of_avoider, of_spread=True)
 
 @dataclass(frozen=True, eq=False)
 class FaultyAvoider(AvoiderAround):
-    """An avoider whose answers are made by ``answers``, which may query the sound avoider."""
+    """An avoider whose answers come from the function ``answers``, which may query the sound avoider."""
 
     answers: Answers
 
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int, **seen: Any
     ) -> Proposal:
-        """Return the faulty answer to the question."""
+        """Return the faulty answer to the query."""
         avoider = _Shown(self.avoider, seen) if seen else self.avoider
         return self.answers(avoider, hand_position_in_base_m, tcp_position_in_base_m, seed)
 
 
 @dataclass(frozen=True, eq=False)
 class _Shown(AvoiderAround):
-    """An avoider that sees more than hand, TCP and seed; ``seen`` holds the additional arguments."""
+    """A wrapper of an avoider that passes the additional arguments ``seen`` in each query."""
 
     seen: dict[str, Any]
 
     def propose(self, **question: Any) -> Proposal:
-        """Return the avoider's own answer to the question, with the additional arguments."""
+        """Return the avoider's own answer to the query, with the additional arguments."""
         return self.avoider.propose(**question, **self.seen)
 
 
@@ -99,7 +99,7 @@ def moved(change: Callable[[Vector, float], Vector]) -> Seeds:
 
 
 def turned(vector: Vector, angle_rad: float) -> Vector:
-    """Return a displacement (3,) that is turned about the vertical by ``angle_rad``."""
+    """Return a displacement (3,) rotated by ``angle_rad`` about the vertical axis."""
     c, s = cos(angle_rad), sin(angle_rad)
     return np.array([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1], vector[2]])
 
@@ -113,7 +113,7 @@ def _flipped(displacement: Vector, weight: float) -> Vector:
 @_avoider("mirrored axis", "a left-handed frame: away along two axes, towards along the third")
 @seeded(moved, (2.0, 3.0, 1.0), names=("y", "z", "x"))
 def _mirrored(displacement: Vector, axis: float) -> Vector:
-    """Mirror one coordinate of a displacement (3,); ``axis`` 1, 2, 3 stands for x, y, z."""
+    """Mirror one coordinate of a displacement (3,); ``axis`` 1, 2 or 3 stands for x, y or z."""
     signs = np.ones(3)
     signs[int(axis) - 1] = -1.0
     return signs * displacement
@@ -221,7 +221,7 @@ def _unseeded(std_m: float) -> Answers:
 )
 @seeded(answering, (1e-2, 1e-3, 1e-6), "mm a question", 1e3)
 def _remembering(step_m: float) -> Answers:
-    """Drift by the same step with each query, and back after twenty queries.
+    """Shift the answer further by the same step with each query, and begin again after twenty queries.
 
     The drift continues from run to run of the same system.
     """
@@ -250,7 +250,7 @@ def _underconfident(factor: float, proposal: Proposal, hand: Vector, tcp: Vector
 @_spread("spread of the wrong axis", "the doubt about the most uncertain axis is not seen")
 @seeded(answered, (1.0, 0.5), "% of the largest lost", 100.0)
 def _wrong_spread_axis(weight: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: int) -> Proposal:
-    """Report the most uncertain axis as less uncertain than it is."""
+    """Report a spread that is too small on the most uncertain axis."""
     spread_m = proposal.spread_m.copy()
     spread_m[int(np.argmax(spread_m))] *= 1.0 - weight
     return Proposal(proposal.position_in_base_m, spread_m)

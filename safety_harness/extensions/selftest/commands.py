@@ -1,4 +1,4 @@
-"""Define ``safety-harness selftest``, which seeds faults into a sound system and shows the catches."""
+"""Define ``safety-harness selftest``, which seeds faults into a sound system and shows which are caught."""
 
 from __future__ import annotations
 
@@ -17,7 +17,11 @@ commands = Typer()
 @command(commands)
 def selftest(
     profile: Annotated[
-        str, Option(help="quick: some minutes; nightly: every scenario, and many draws.")
+        str,
+        Option(
+            help="The size of the test: quick takes some minutes, and nightly uses every scenario and many"
+            " draws."
+        ),
     ] = "quick",
     avoider: OfAvoider = None,
     controller: OfController = None,
@@ -30,33 +34,42 @@ def selftest(
         Option(help="A predictor for every scenario: FILE.py:NAME or a program.", metavar="PREDICTOR"),
     ] = None,
     scenarios: Annotated[
-        Path, Option(help="Folder with scenario files and spaces/, to try faults on.")
+        Path,
+        Option(
+            help="Folder with the scenario files in which to seed the faults, and with spaces in its "
+            "subfolder spaces/."
+        ),
     ] = Path("shipped:scenarios"),
     world: Annotated[
-        str, Option(help="The world of the runs: kinematic, MuJoCo, or your simulator, exec:COMMAND.")
+        str, Option(help="The world of the runs: kinematic, MuJoCo, or your simulator (exec:COMMAND).")
     ] = "kinematic",
-    fault: Annotated[str | None, Option(help="Only faults with these words in their name.")] = None,
+    fault: Annotated[str | None, Option(help="Seed only faults whose name contains these words.")] = None,
     out: Annotated[Path, Option(help="Folder for selftest.html and selftest.json.")] = Path(
         "reports/selftest"
     ),
-    jobs: Annotated[int, Option(help="Processes at once, each on one core.")] = 2,
+    jobs: Annotated[int, Option(help="Number of processes, each on one core.")] = 2,
 ) -> int:
-    """Seed faults into a sound system, and show the catches.
+    """Seed faults into a working system, and show which claims catch them.
 
-    A claim catches a fault if it is violated with the fault and holds without
-    it, on the same scenario. The table has this claim, the number of episodes,
-    and the smallest caught magnitude. With --avoider or --controller the
-    command seeds the faults into yours. Faults of avoider, gate and servoing
-    apply only if your system has these parts; the table marks the rest.
-    With --world exec:COMMAND your simulator moves the arm in all runs.
-    With --safety-filter the faults of a filter take the place of our shield's.
-    With --predictor the faults of our Kalman filter do not apply.
-    Harmless changes run too, and must raise no alarm. The command keeps the
-    results so far, whatever its exit code.
+    A claim catches a fault if, on the same scenario, the claim holds without
+    the fault and is violated with the fault. For each fault, the table shows a
+    claim that catches it, the number of episodes, and the smallest magnitude
+    that was caught. The command also seeds harmless changes, which must raise
+    no alarm.
 
-    Exit code 0: claims catch all faults, except stated limits.
-    Exit code 1: another fault survives, or a harmless change raises a false alarm.
-    Exit code 1 too: no fault applies.
+    With --avoider or --controller, the command seeds the faults into your
+    program. If your system has no avoider, no gate or no servo, the faults of
+    this part do not apply, and the table says so. With --world exec:COMMAND,
+    your simulator moves the arm in all runs. With --safety-filter, faults of a
+    filter replace the faults of our shield. With --predictor, the faults of our
+    Kalman filter do not apply.
+
+    The command saves the results so far, whichever exit code it has.
+
+    Exit code 0: claims catch all faults, except for stated limits.
+    Exit code 1: a fault without a stated limit survives, or a harmless change
+    raises a false alarm.
+    Exit code 1 too: no fault applies to the system.
     Exit code 2: bad input.
     Exit code 130: interrupted.
     """

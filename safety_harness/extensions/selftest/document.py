@@ -1,4 +1,4 @@
-"""Write the outcome of a self-test: JSON for the certification page and other programs, and a page.
+"""Write a self-test's outcome as JSON, for the certification page and other programs, and as a page.
 
 The page is self-contained HTML in the style of the reports.
 """
@@ -48,7 +48,8 @@ STATE_CLASS = {
 class SelfTestRun:
     """The circumstances of a self-test.
 
-    If it was ``interrupted``, some of the ``planned`` faults were not tried.
+    ``planned`` is the number of faults to try. If the self-test was ``interrupted``, some of them were not
+    tried.
     """
 
     profile: str
@@ -70,7 +71,10 @@ class SelfTestRun:
 
 
 def document(outcomes: Sequence[FaultOutcome], selftest: SelfTestRun) -> dict[str, Any]:
-    """Return the outcome as plain JSON; a magnitude that is not finite is null, with words beside it."""
+    """Return the outcome as data for JSON.
+
+    A magnitude that is not finite becomes null; the text of the magnitude is always present.
+    """
     tally = tally_of(outcomes)
     return {
         "format": FORMAT,
@@ -109,12 +113,15 @@ CaughtRuns = Sequence[tuple[FaultOutcome, JudgedRun]]
 def write_page(
     path: Path, outcomes: Sequence[FaultOutcome], selftest: SelfTestRun, runs: CaughtRuns = ()
 ) -> None:
-    """Write the page, which needs no network, in full or not at all; OSError if it cannot be written."""
+    """Write the page completely or not at all; raise OSError if that fails. The page needs no network."""
     write_whole(path, render(outcomes, selftest, runs))
 
 
 def render(outcomes: Sequence[FaultOutcome], selftest: SelfTestRun, runs: CaughtRuns = ()) -> str:
-    """Return the page as text, which is the same for the same arguments; it replays ``runs`` in 3-D."""
+    """Return the text of the page, which depends only on the arguments.
+
+    The page replays ``runs`` in 3-D.
+    """
     faults, harmless = in_table(outcomes)
     replays = Replays()
     confirming = {rung.confirming for case in outcomes for rung in case.rungs if rung.confirming}

@@ -1,15 +1,17 @@
-"""Define a seeded fault: its name, the hazard that it stands for, and a ladder of magnitudes.
+"""Define a seeded fault, which has a name, a hazard, and a list of magnitudes (the ladder).
 
-A file of faults declares each fault beside the function that makes it, by two decorators:
+In a file of faults, a fault is a function with two decorators. The function makes the change, and the
+decorators declare the fault:
 
     @of_motion("overspeed", "the arm is faster than commanded: people cannot step back in time")
     @seeded(commanded, (4.0, 1.5, 1.1, 1.02), "times")
     def _faster(factor: float, command: Records) -> None:
         command[0]["joint_velocity_radps"] *= factor
 
-``seeded`` states the place of the change, here the commands to the arm. It also states the magnitudes, the
-worst first, and their unit for people. A fault without magnitudes is either present or absent. The decorator
-of the faulty part makes a SeededFault, which ``faults_in`` finds in the file.
+In this example, the argument ``commanded`` of ``seeded`` puts the change into the commands to the arm. The
+other arguments of ``seeded`` are the magnitudes, beginning with the worst, and the unit in which texts show
+them. A fault without magnitudes is either present or absent. The decorator of the faulty part returns a
+SeededFault, and ``faults_in`` collects the SeededFaults of the file.
 """
 
 from __future__ import annotations
@@ -41,7 +43,10 @@ class FaultyPart(Enum):
 
 @dataclass(frozen=True)
 class SeverityLevels:
-    """The magnitudes of a fault in SI, the worst first, with their unit or their names for people."""
+    """The magnitudes of a fault in SI units, beginning with the worst.
+
+    Texts show a magnitude either with ``unit`` or by its name in ``names``.
+    """
 
     values: tuple[float, ...]
     unit: str = ""
@@ -49,7 +54,7 @@ class SeverityLevels:
     names: tuple[str, ...] = ()
 
     def label(self, value: float) -> str:
-        """Return the text that shows the magnitude ``value`` to people."""
+        """Return the text for the magnitude ``value``: its name, or the number with its unit."""
         if self.names:
             return self.names[self.values.index(value)]
         number = f"{value * self.per_si:.4g}"
@@ -61,7 +66,7 @@ ONLY = SeverityLevels((1.0,), names=("there",))  # for a fault that is either pr
 
 @dataclass(frozen=True, eq=False)
 class Precondition:
-    """A change that is made to both the faulty and the sound system."""
+    """A change that applies to both the faulty and the sound system."""
 
     name: str
     bring_about: Callable[[ChangedSystem], ChangedSystem]
@@ -73,14 +78,16 @@ AS_USUAL = Precondition("as it is", lambda system: system)
 
 @dataclass(frozen=True, eq=False)
 class SeededFault:
-    """A mistake that an engineer could make, and that can hurt people or prevent the task.
+    """A mistake that an engineer could make and that can hurt people or prevent the task.
 
-    ``seed_into`` takes a sound system and a magnitude of the ``ladder``, and returns the faulty system. Both
-    systems run under the precondition ``circumstance``. ``of_spread`` states that the fault does not apply to
-    an avoider without a spread, ``of_filter`` that it applies only to a system with a user's safety filter.
+    ``seed_into`` takes a sound system and a magnitude of the ``ladder``, and returns the faulty system. The
+    precondition ``circumstance`` applies to the runs of both systems. If ``of_spread`` is true, the fault
+    applies only to an avoider with a spread. If ``of_filter`` is true, it applies only to a system with a
+    user's safety filter.
 
-    ``harmless`` is the reason, stated beforehand, why the change cannot matter; a violation that it causes is
-    a false alarm. ``limit`` is the reason, stated beforehand, why no claim can catch the fault.
+    ``harmless`` is empty for a fault. For a harmless change, it is the reason why the change cannot matter. A
+    violation that such a change causes is a false alarm. ``limit`` is the reason why no claim can catch the
+    fault, or empty if a claim should catch it. Both reasons are written before the fault is tried.
     """
 
     part: FaultyPart
@@ -105,9 +112,10 @@ def seeded(
     per_si: float = 1.0,
     names: tuple[str, ...] = (),
 ) -> Callable[[Changing], Graded]:
-    """Decorate a change with the place ``where`` it is seeded, and with its magnitudes.
+    """Return a decorator that adds the magnitudes and the place of a change.
 
-    Without ``values``, the magnitudes are ``ONLY``.
+    The place ``where`` is the part of the system into which the change is seeded. Without ``values``, the
+    magnitudes are ``ONLY``.
     """
     ladder = SeverityLevels(values, unit, per_si, names) if values else ONLY
     return lambda change: (where(change), ladder)
@@ -116,7 +124,7 @@ def seeded(
 def fault_of(
     part: FaultyPart, name: str, hazard: str, circumstance: Precondition = AS_USUAL, of_spread: bool = False
 ) -> Callable[[Graded], SeededFault]:
-    """Return a decorator that makes a SeededFault from a ``seeded`` change."""
+    """Return a decorator that makes a SeededFault from a change with the decorator ``seeded``."""
     return lambda graded: SeededFault(part, name, hazard, *graded, circumstance, of_spread)
 
 
@@ -129,17 +137,20 @@ of_timing = partial(fault_of, FaultyPart.TIMING)
 
 
 def declared(*, harmless: str = "", limit: str = "") -> Callable[[SeededFault], SeededFault]:
-    """Return a decorator that states beforehand why a fault cannot matter, or why no claim can catch it."""
+    """Return a decorator that states beforehand why a fault cannot matter or why no claim can catch it."""
     return lambda fault: replace(fault, harmless=harmless, limit=limit)
 
 
 def faults_in(file: Mapping[str, object]) -> tuple[SeededFault, ...]:
-    """Return the faults that a file declares, in their order there; ``file`` holds the file's globals."""
+    """Return the faults in a file of faults, in the order in which the file declares them.
+
+    ``file`` is the dictionary of the file's global names.
+    """
     return tuple(fault for fault in file.values() if isinstance(fault, SeededFault))
 
 
 def anywhere(seeds: Seeds) -> Seeds:
-    """Seed a fault that is a function of the whole system."""
+    """Seed a fault that may change any part of the system."""
     return seeds
 
 
@@ -149,7 +160,7 @@ def minds_nobody(records: ControllerRecords) -> None:
 
 
 def known(edit: Callable[[ControllerRecords, float], None]) -> Seeds:
-    """Seed a fault that changes the records that the controller takes as given."""
+    """Seed a fault that changes records on which the controller relies."""
     return lambda system, magnitude: system.with_records(lambda records: edit(records, magnitude))
 
 

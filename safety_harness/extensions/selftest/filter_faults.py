@@ -1,7 +1,7 @@
-"""Faults of a user's safety filter: what it sees of hands, when it sees it, and whether it is heard.
+"""Define faults of a user's safety filter.
 
-They change no code of the filter, and are tried where the filter alone protects hands, because the controller
-does not avoid them.
+They concern the filter's view of hands, its timing, and its effect. The faults change no code of the filter.
+They are tried where the filter alone protects hands, because the controller does not avoid hands.
 """
 
 from __future__ import annotations
@@ -59,9 +59,10 @@ def viewed(make: Callable[[float, Admitted], Callable[[Records], None]]) -> Seed
 
 
 def heard(make: Callable[[float, Admitted], Callable[[Records], bool]]) -> Seeds:
-    """Seed a fault in which the controller's command passes unless the function of ``make`` returns True.
+    """Seed a fault that lets the controller's command bypass the safety filter at some ticks.
 
-    This function gets the observation (1,) of each tick.
+    At each tick, the filter has an effect only if the function that ``make`` returns is true. This function
+    gets the observation (1,) of each tick.
     """
 
     def seed(system: ChangedSystem, magnitude: float) -> ChangedSystem:
@@ -69,6 +70,7 @@ def heard(make: Callable[[float, Admitted], Callable[[Records], bool]]) -> Seeds
             counts, filtered = make(magnitude, system.admitted), calls.filter
 
             def passed(wanted: Records, observation: Records) -> Records:
+                # Call the filter at each tick, so that only its effect is missing.
                 own = filtered(wanted, observation)
                 return own if counts(observation) else wanted
 

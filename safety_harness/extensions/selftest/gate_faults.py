@@ -1,7 +1,8 @@
-"""Faults of the gate between avoider and arm.
+"""Define faults of the gate between avoider and arm.
 
-A faulty gate is noticed only if there is something to refuse. Most of these faults therefore run with an
-avoider that makes a single kind of error. The sound gate runs with the same avoider.
+A faulty gate can be noticed only if the gate has a proposal to refuse. Most of these faults therefore run
+with an avoider that makes errors of a single kind. The sound gate, for comparison, runs with the same
+avoider.
 """
 
 from __future__ import annotations
@@ -30,7 +31,11 @@ Rule = Callable[[Answer, Query], GateDecision]  # the sound gate's rule
 
 @dataclass(frozen=True, eq=False)
 class Erring:
-    """An avoider that always proposes the displacement ``by_m``, plus ``towards_hand_m`` towards the hand."""
+    """An avoider that always makes the same error.
+
+    It proposes the sum of two displacements: ``by_m``, and a displacement of length ``towards_hand_m``
+    towards the hand.
+    """
 
     by_m: tuple[float, float, float]
     towards_hand_m: float = 0.0
@@ -48,10 +53,12 @@ class Erring:
 
 
 def with_an(name: str, avoider: Erring) -> Precondition:
-    """Return the precondition that both gates, the faulty and the sound one, run with ``avoider``."""
+    """Return a precondition: both the faulty gate and the correct gate run with ``avoider``."""
     return Precondition(f"with an avoider that {name}", lambda s: s.with_avoider(lambda _: avoider))
 
 
+# The displacements are choices. Where a name describes a direction or a place, the displacement fails the
+# check of it. The spreads are above the threshold (in doubt) or below it (certain).
 IN_DOUBT = with_an("is in doubt", Erring((0.0, 0.05, 0.08), 0.0, 0.03, SURE_BELOW_M))
 TO_THE_HAND = with_an("heads for the hand", Erring((0.0, 0.0, 0.0), 0.1))
 TO_THE_TABLE = with_an("heads for the table", Erring((0.0, 0.0, -0.7)))
@@ -68,7 +75,7 @@ NO_NUMBER = Precondition(
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FaultyGate(Gate):
-    """A gate whose rulings are made by ``rules``, which may call the sound rule."""
+    """A gate whose rulings come from the function ``rules``, which may call the sound rule."""
 
     rules: Callable[[Rule, Answer, Query], GateDecision]
 
@@ -79,17 +86,20 @@ class FaultyGate(Gate):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BlindGate(Gate):
-    """A gate that ignores the checks ``to``."""
+    """A gate that ignores the checks in ``to``."""
 
     to: Check
 
     def check(self, position_in_base_m: Vector, query: Query) -> Check:
-        """Return the failed checks, except those that the gate ignores."""
+        """Return the failed checks, without the checks that the gate ignores."""
         return super().check(position_in_base_m, query) & ~self.to
 
 
 class LateRefusal(ControllerWrapper):
-    """A controller whose refusals take effect late, so that the arm first heads for the refused pose."""
+    """A controller that reacts to a refusal with a delay of some cycles.
+
+    During the delay, it moves towards the refused pose.
+    """
 
     def __init__(self, pilot: AvoidingServo, cycles: float) -> None:
         super().__init__(pilot)
@@ -98,7 +108,7 @@ class LateRefusal(ControllerWrapper):
         self._chosen: Vector = np.full(3, np.nan)
 
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
-        """Return the controller's command, and delay the change of its target after a refusal."""
+        """Return the controller's command, but delay the change of target that follows a refusal."""
         command = super().step(observation)
         state, question = self.pilot.records.state[0], self.pilot.records.question[0]
         if question["made_now"]:
@@ -112,6 +122,7 @@ class LateRefusal(ControllerWrapper):
                 state["target_in_base_m"] = decision["proposed_position_in_base_m"]
         elif self._left > 0:
             self._left -= 1
+            # The arm may have stopped meanwhile, and then the late target must not start it again.
             if self._left == 0 and state["mode"] == Mode.REPULSING:
                 state["target_in_base_m"] = self._chosen
         return command
@@ -123,7 +134,7 @@ def ruled(rules: Callable[[float, Rule, Answer, Query], GateDecision]) -> Seeds:
 
 
 def _taking(ruling: GateDecision, outcome: DecisionOutcome) -> GateDecision:
-    """Return the ruling with ``outcome`` in place of its own, and with the position of that outcome."""
+    """Return a copy of ``ruling`` with the given ``outcome`` and with the position that belongs to it."""
     answers = {DecisionOutcome.PROPOSED: ruling.proposed, DecisionOutcome.OPPOSITE: ruling.opposite}
     chosen = answers.get(outcome, NAN_PROPOSAL).position_in_base_m
     return replace(ruling, outcome=outcome, chosen_position_in_base_m=chosen)
@@ -132,7 +143,7 @@ def _taking(ruling: GateDecision, outcome: DecisionOutcome) -> GateDecision:
 @of_gate("threshold ignored", "the arm goes where the network only guesses", IN_DOUBT)
 @seeded(ruled, (np.inf, 4.0, 2.0, 1.6), "times the threshold")
 def _lax(factor: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
-    """Multiply the threshold of the spread, but report the true threshold in the ruling."""
+    """Multiply the gate's threshold of the spread by ``factor``, but report the true threshold."""
     true_m = proposed.spread_threshold_m
     lax = replace(proposed, spread_threshold_m=factor * true_m)
     return replace(rule(lax, query), spread_threshold_m=true_m)
@@ -149,7 +160,7 @@ def _late(system: ChangedSystem, cycles: float) -> ChangedSystem:
 @of_gate("wrong pose handed over", "the gate checks one position, and the arm goes to another")
 @seeded(ruled, (np.pi, np.pi / 2, np.pi / 4, np.pi / 9), "deg", 180.0 / np.pi)
 def _wrong_pose(angle_rad: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
-    """Turn the chosen position about the TCP; the ruling reports the turned position."""
+    """Rotate the chosen position about the TCP, and report the rotated position in the ruling."""
     ruling = rule(proposed, query)
     tcp = query.tcp_position_in_base_m
     turned_m = tcp + turned(ruling.chosen_position_in_base_m - tcp, angle_rad)
@@ -192,14 +203,14 @@ def _blind_to_its_region(system: ChangedSystem, _: float) -> ChangedSystem:
 @of_gate("minds one hand only", "the arm gives way to one hand and goes to a second hand")
 @seeded(ruled)
 def _one_hand_only(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
-    """Rule as if the nearest hand were the only hand."""
+    """Make the ruling as if the nearest hand were the only hand."""
     return rule(proposed, replace(query, hands_in_base_m=query.hand_position_in_base_m[None]))
 
 
 @of_gate("passes NaN", "no number becomes a position, and then a speed", NO_NUMBER)
 @seeded(ruled)
 def _passes_nan(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
-    """Accept NaN, as comparisons do: NaN is neither above a threshold nor out of reach."""
+    """Accept a proposal of NaN, as if all checks were comparisons, which are false for NaN."""
     ruling = rule(proposed, query)
     return _taking(ruling, DecisionOutcome.PROPOSED) if ruling.proposed_failed & Check.NOT_FINITE else ruling
 
@@ -207,7 +218,7 @@ def _passes_nan(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDec
 @of_gate("lets no proposal pass", "the system in use does not use the tested avoider", CERTAIN)
 @seeded(ruled)
 def _lets_none_pass(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
-    """Replace each usable proposal by the opposite pose, if that pose is usable too."""
+    """Replace each usable proposal by the opposite pose, provided that this pose is usable too."""
     ruling = rule(proposed, query)
     usable = ruling.outcome is DecisionOutcome.PROPOSED and not ruling.opposite_failed
     return _taking(ruling, DecisionOutcome.OPPOSITE) if usable else ruling

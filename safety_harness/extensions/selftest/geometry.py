@@ -1,8 +1,8 @@
-"""Compute a run's hand distance independently, by PyBullet's own kinematics and distances.
+"""Compute the hand distance in a run independently, with the kinematics and the distances of PyBullet.
 
-The trace contributes the joints and the positions of the hands, and the package the sizes of the bodies.
-Nothing else of the package is used. The computation assumes that joints and hands move straight from tick to
-tick.
+The trace provides the joints and the positions of the hands, and the package provides the sizes of the
+bodies. The computation uses no other part of the package. It assumes that joints and hands move in straight
+lines from tick to tick.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ BODIES = ("hand_position_in_base_m", "elbow_position_in_base_m")
 
 
 class Kept(Enum):
-    """The finding of the geometry about a limit of the hand distance."""
+    """The result of the geometric check of a limit on the hand distance."""
 
     PROVEN = "kept"  # at every tick and between
     REFUTED = "broken"  # at a tick
@@ -38,9 +38,10 @@ class Kept(Enum):
 def hand_distance_kept(trace: Trace, limit_m: float) -> Kept:
     """Return whether all hands and forearms stay at least ``limit_m`` away from the arm's capsules.
 
-    The distance is measured from surface to surface.  The function skips the ticks in which joints and hands
-    cannot move far enough to use up the last distance. It bounds the arm's motion by the joints' motion times
-    ``span_m_of``. The function assumes that a hand appears or disappears only at a tick.
+    The distance is measured from surface to surface. The function computes the distance only at some ticks.
+    It skips the following ticks as long as the bodies cannot have moved far enough to reach the limit. The
+    arm's motion is at most ``span_m_of`` times the joints' motion. The function assumes that a hand appears
+    or disappears only at a tick.
     """
     ticks = trace.ticks
     present = ticks["hand_present"]
@@ -48,6 +49,7 @@ def hand_distance_kept(trace: Trace, limit_m: float) -> Kept:
     if not len(ticks) or not all(np.isfinite(column).all() for column in read):
         return Kept.OPEN
     moved_m = _most_moved_m(ticks, span_m_of(trace))
+    # Longer than any spare distance, so that no skip passes a tick where a hand appears or disappears.
     stops = np.where((present[1:] != present[:-1]).any(axis=1), 2.0 * FAR_M, 0.0)
     spent_m = np.concatenate([[0.0], np.cumsum(moved_m + stops)])
     result = Kept.PROVEN
@@ -57,9 +59,11 @@ def hand_distance_kept(trace: Trace, limit_m: float) -> Kept:
             if k == len(ticks) - 1:
                 return result
             spare_m = distance_m - limit_m - CLEAR_M
+            # The last tick that the motion reaches without using up the spare distance.
             last = int(np.searchsorted(spent_m, spent_m[k] + spare_m, side="right")) - 1
             following = max(last, k + 1)
             next_m = cell.distance_m(ticks[following])
+            # Nothing was to spare. Between the two ticks, the distance is at least half of the left side.
             if following > last and distance_m + next_m - moved_m[k] < 2.0 * (limit_m + CLEAR_M):
                 result = Kept.OPEN
             k, distance_m = following, next_m
@@ -67,13 +71,16 @@ def hand_distance_kept(trace: Trace, limit_m: float) -> Kept:
 
 
 def span_m_of(trace: Trace) -> float:
-    """Return a length [m] that no point of the arm exceeds in its distance from any of the arm's joints."""
+    """Return an upper bound of the distance between any point of the arm and any joint of the arm [m]."""
     robot = trace.scenario.robot
     return max(SPAN_M, float(arm_with(arm_model(robot), arm_capsules(robot)).reach_m.max()))
 
 
 def _most_moved_m(ticks: NDArray[np.void], span_m: float) -> NDArray[np.float64]:
-    """Return the largest change (n-1,) [m] of the distance between ticks, for hands present at both ticks."""
+    """Return a bound (n-1,) [m] on the change of the distance between ticks.
+
+    Only hands that are present at both ticks contribute their own motion.
+    """
     moved_m: NDArray[np.float64] = span_m * np.abs(np.diff(ticks["joint_position_rad"], axis=0)).sum(axis=1)
     stays = ticks["hand_present"][1:] & ticks["hand_present"][:-1]
     steps_m = [np.linalg.norm(np.diff(ticks[name], axis=0), axis=2) for name in BODIES]
@@ -111,7 +118,10 @@ class PyBulletArm:
         self._bullet.disconnect(physicsClientId=self._client)
 
     def distance_m(self, tick: np.void) -> float:
-        """Return the least distance [m] from the arm to any hand or forearm at a tick, at most ``FAR_M``."""
+        """Return the least distance of a hand or forearm from the arm at a tick [m].
+
+        If this distance exceeds ``FAR_M``, return ``FAR_M``.
+        """
         hands = np.flatnonzero(tick["hand_present"])
         if len(hands):
             self._place_arm(tick["joint_position_rad"])
@@ -126,7 +136,10 @@ class PyBulletArm:
             self._lay(body, product(rotation, start) + origin, product(rotation, end) + origin)
 
     def _frame(self, link: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return rotation and origin of the frame of ``link``; link 0 is the base, and the last the TCP."""
+        """Return the rotation and the origin of a link's frame.
+
+        The index ``link`` is 0 for the base, and the last index is for the TCP.
+        """
         if link == 0:
             return np.eye(3), np.zeros(3)
         if link > len(self._joints):
@@ -141,6 +154,7 @@ class PyBulletArm:
         self._bullet.resetBasePositionAndOrientation(
             self._hand, hand, (0, 0, 0, 1), physicsClientId=self._client
         )
+        # Rounding to a micrometre lets forearms of equal length share a body.
         forearm = self._forearm(round(float(length(elbow - hand)), 6))
         self._lay(forearm, hand, elbow)
         points = [
@@ -174,6 +188,8 @@ class PyBulletArm:
         turn = np.array([0.0, 0.0, 0.0, 1.0])
         if length_m > 0.0:
             x, y, z = axis_m / length_m
+            # The quaternion that turns z to the axis. It vanishes for the opposite axis, where a half turn
+            # about x does.
             turn = np.array([-y, x, 0.0, 1.0 + z]) if z > -0.999999 else np.array([1.0, 0.0, 0.0, 0.0])
             turn /= length(turn)
         self._bullet.resetBasePositionAndOrientation(

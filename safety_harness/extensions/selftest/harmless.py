@@ -1,4 +1,7 @@
-"""Changes that cannot matter, for reasons stated beforehand; an alarm about such a change is false."""
+"""Define harmless changes, each with the reason why it cannot matter.
+
+An alarm about a harmless change is a false alarm.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ from safety_harness.extensions.selftest.fault import (
 )
 from safety_harness.extensions.selftest.system import ChangedSystem, Records
 
-NOISE_M = 1e-7
+NOISE_M = 1e-7  # as in the name of the fault that uses it
 
 
 @declared(harmless="it is given copies")

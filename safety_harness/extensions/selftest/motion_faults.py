@@ -1,4 +1,4 @@
-"""Faults of the arm itself, in drives, joints and brakes, of which the controller does not know."""
+"""Define faults of the arm's drives, joints and brakes, of which the controller gets no information."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from safety_harness.extensions.selftest.fault import (
 )
 from safety_harness.extensions.selftest.system import Change, ChangedSystem, Records
 
-WRIST = 5
+WRIST = 5  # the last joint: whole turns of it leave the pose unchanged
 JOINTS = tuple(f"joint {number}" for number in range(1, 7))
-PAIRS = ((0, 1), (1, 2), (2, 3), (4, 5))
+PAIRS = ((0, 1), (1, 2), (2, 3), (4, 5))  # of neighbouring joints; a choice
 
 
 @of_motion("overspeed", "the arm is faster than commanded: people cannot step back in time")
@@ -88,7 +88,7 @@ def _wound(system: ChangedSystem, turns: float) -> ChangedSystem:
 @of_motion("stop that does not stop", "the arm goes on without a position to go to")
 @seeded(obeying, (1.0, 0.5, 0.2), "% of the speed", 100.0)
 def _rolls_on(share: float, admitted: Admitted) -> Change:
-    """Ignore a protective stop, so that the drives continue at a share of their last speed."""
+    """Ignore a protective stop, so that the drives continue at a fraction of their last speed."""
     last: list[NDArray[np.float64]] = [np.zeros_like(admitted.joint_position_rad)]
 
     def obey(command: Records) -> Records:

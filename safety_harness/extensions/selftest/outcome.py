@@ -1,4 +1,4 @@
-"""Define the outcome of one fault and of all faults, as figures and as rows of tables."""
+"""Define the outcome of one fault, the figures of a whole self-test, and the rows of the tables."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ NONE = "-"
 
 @dataclass(frozen=True, kw_only=True)
 class FaultOutcome:
-    """The rungs of one fault, from the worst magnitude on; a harmless change should cause no alarm.
+    """The results (rungs) of one fault, beginning with the worst magnitude.
 
-    ``limit`` is the reason, stated beforehand, why no claim can catch the fault.
+    A harmless change should cause no alarm. If no claim can catch the fault, ``limit`` is the reason, which
+    is written before the fault is tried.
     """
 
     fault: str
@@ -54,13 +55,13 @@ class FaultOutcome:
 
     @property
     def smallest(self) -> Rung | None:
-        """The rung of the smallest caught magnitude; all worse magnitudes are caught too."""
+        """The rung of the smallest magnitude that a claim caught; all worse magnitudes were also caught."""
         caught = [rung for rung in self.rungs if rung.caught]
         return caught[-1] if caught else None
 
     @property
     def survivor(self) -> Rung | None:
-        """The rung of the first magnitude that no claim caught; None if all are caught."""
+        """The rung of the first magnitude that no claim caught, or None if all were caught."""
         return next((rung for rung in self.rungs if not rung.caught), None)
 
     @property
@@ -71,20 +72,20 @@ class FaultOutcome:
 
     @property
     def confirmed(self) -> bool | None:
-        """Whether a reference confirms the catch of the smallest caught magnitude; None if none ran."""
+        """Whether a reference confirms the smallest caught magnitude; None if no reference ran."""
         smallest = self.smallest
         return smallest.confirmed if smallest else None
 
     @property
     def confirmed_in(self) -> list[str] | None:
-        """The references that confirm the smallest catch; None if none ran."""
+        """The references that confirm the smallest caught magnitude, or None if no reference ran."""
         if (smallest := self.smallest) is None or smallest.confirmed is None:
             return None
         return [smallest.confirming] * smallest.confirmed
 
 
 def outcome_of(fault: SeededFault, rungs: Sequence[Rung], *, applies: bool = True) -> FaultOutcome:
-    """Return the outcome of ``fault``, given its rungs."""
+    """Return the outcome of ``fault`` with the results ``rungs``."""
     return FaultOutcome(
         fault=fault.name,
         part=fault.part.value,
@@ -102,8 +103,9 @@ def outcome_of(fault: SeededFault, rungs: Sequence[Rung], *, applies: bool = Tru
 class SelfTestTally:
     """The figures of a whole self-test.
 
-    PyBullet's geometry judged ``geometry_runs`` runs with harmless changes as well. In
-    ``geometry_contradicted`` of these runs, it contradicts the harness's verdict on the hand distance.
+    For runs with harmless changes, PyBullet also computes the hand distance; there are ``geometry_runs`` such
+    runs. In ``geometry_contradicted`` of them, its result contradicts the harness's verdict on the hand
+    distance.
     """
 
     faults: int
@@ -121,7 +123,7 @@ class SelfTestTally:
 
     @property
     def kill_rate(self) -> float:
-        """The share of caught faults among the faults that apply."""
+        """The number of caught faults divided by the number of applicable faults."""
         return self.caught / self.faults if self.faults else 0.0
 
 
@@ -181,7 +183,10 @@ def harmless_row(change: FaultOutcome) -> tuple[str, ...]:
 
 
 def geometry_words(geometry: Geometry) -> str:
-    """Return in words how many runs kept and broke the distance, and which ones contradict the harness."""
+    """Return a text about the runs in which the hand distance was kept or broken.
+
+    The text states the numbers of these runs, and lists the runs that contradict the harness.
+    """
     text = f"kept in {geometry.kept} of {geometry.runs}, broken in {geometry.broken}"
     return f"{text}, to the contrary in {', '.join(geometry.contradicted)}" if geometry.contradicted else text
 
@@ -219,5 +224,5 @@ def in_table(outcomes: Sequence[FaultOutcome]) -> tuple[list[FaultOutcome], list
 
 
 def bad(outcomes: Sequence[FaultOutcome]) -> list[FaultOutcome]:
-    """Return the outcomes that count against the harness: unexplained survivors and false alarms."""
+    """Return the outcomes that are failures of the harness: unexplained survivors and false alarms."""
     return [outcome for outcome in outcomes if outcome.state in (FaultState.SURVIVES, FaultState.FALSE_ALARM)]

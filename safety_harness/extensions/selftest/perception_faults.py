@@ -1,4 +1,4 @@
-"""Faults that lie between the hands and the controller's estimate of the hands."""
+"""Define faults that act between the hands and the controller's estimate of the hands."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from safety_harness.cell.perception.hand_boxes import sensor_principal_point_px
 from safety_harness.extensions.selftest.fault import faults_in, known, of_perception, seeded, seeing, seen
 from safety_harness.extensions.selftest.system import Change, Delayed, Records
 
-U, V, Z, AREA = range(4)
-GHOST_DEPTH_M = 1.45
+U, V, Z, AREA = range(4)  # columns of a box
+GHOST_DEPTH_M = 1.45  # below the sensor; a choice
 
 
 def _keep(observation: Records, wanted: NDArray[np.bool_]) -> None:
-    """Keep only those boxes of the observation that ``wanted`` marks."""
+    """Remove the boxes for which ``wanted`` is False from the observation."""
     o = observation[0]
     kept = o["boxes"][: o["box_count"]][wanted]
     o["boxes"][: len(kept)] = kept
@@ -28,7 +28,7 @@ def _keep(observation: Records, wanted: NDArray[np.bool_]) -> None:
 @of_perception("latency that nobody counts", "the arm gives way to where the hand was")
 @seeded(seeing, (0.5, 0.2, 0.1, 0.04), "ms", 1e3)
 def _late(delay_s: float, admitted: Admitted) -> Change:
-    """Deliver camera frames late, but with the present time."""
+    """Deliver each camera frame late, and replace its time by the time of delivery."""
     frames = Delayed(delay_s)
 
     def see(observation: Records) -> Records:
@@ -104,6 +104,7 @@ def _ghost(admitted: Admitted, share: float, observation: Records) -> None:
         return
     settings = admitted.scenario.settings
     c_u, c_v = sensor_principal_point_px(settings.hand_sensor)
+    # The ghost looks as large as the scenario's hand at this depth.
     side_px = settings.hand_sensor.focal_px * 2.0 * settings.hand.radius_m / GHOST_DEPTH_M
     o["boxes"][count] = (c_u - 60.0, c_v, GHOST_DEPTH_M, side_px * side_px, 1.0)
     o["box_count"] = count + 1
@@ -134,7 +135,10 @@ def _wrong_depth(admitted: Admitted, factor: float, observation: Records) -> Non
 @of_perception("high hands dropped", "a hand from above is filtered out as something else")
 @seeded(seen, (1.6, 1.5, 1.4), "m below the camera")
 def _near_only(admitted: Admitted, depth_m: float, observation: Records) -> None:
-    """Drop the hands that are as near to the overhead camera as a head would be."""
+    """Ignore hands near the overhead camera, as if they were heads.
+
+    A hand is near if its depth below the camera is at most ``depth_m``.
+    """
     o = observation[0]
     _keep(observation, o["boxes"][: o["box_count"], Z] > depth_m)
 

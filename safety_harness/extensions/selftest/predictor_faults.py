@@ -1,7 +1,7 @@
-"""Faults of the predictor, the user's or ours: its sets are too small, late or in wrong places.
+"""Define faults of the user's predictor or of our predictor: its sets are too small, late or misplaced.
 
-They change no code of the predictor, and are tried where the gate takes its sets. A scenario without a
-predictor gets the Kalman filter as one.
+The faults change no code of the predictor, and are tried where the gate uses the predictor's sets. A scenario
+without a predictor gets the Kalman filter as its predictor.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Hands = tuple[HandSet, ...]
 
 
 class PredictorWrapper:
-    """A predictor whose hands are changed by ``change``; everything else is its own."""
+    """A wrapper of a predictor that applies ``change`` to its hands and leaves everything else unchanged."""
 
     def __init__(self, user: UserController, change: Callable[[Hands], Hands]) -> None:
         self._user, self._change = user, change
@@ -44,15 +44,15 @@ class PredictorWrapper:
         return getattr(self._user, name)
 
     def act(self, seen: Seen) -> Any:
-        """Return the predictor's answer to ``seen``, changed."""
+        """Return the predictor's answer to ``seen``, after the change."""
         answer: Any = self._user.act(seen)
         return Predicted(hands=self._change(tuple(answer.hands)))
 
 
 def _in_sets(system: ChangedSystem) -> ChangedSystem:
-    """Return the system with a predictor whose sets the gate takes.
+    """Return the system with a predictor whose sets the gate uses.
 
-    A gate that checks only reach takes no sets. A system with a controller of its own is returned unchanged.
+    A gate that checks only reach uses no sets. A system that has a user's controller is returned unchanged.
     """
     admitted, scenario = system.admitted, system.admitted.scenario
     if admitted.driver is not None:

@@ -1,4 +1,7 @@
-"""Select runs for the page: for each claim that caught a fault, a run with the first such fault."""
+"""Select the runs that the page shows.
+
+For each claim that caught faults, the page shows the run with the first of these faults.
+"""
 
 from __future__ import annotations
 
@@ -23,10 +26,10 @@ def caught_runs(
     world: WorldEntry = KINEMATIC,
     most: int = MOST_REPLAYS,
 ) -> list[tuple[FaultOutcome, JudgedRun]]:
-    """Return at most ``most`` faults, each with the run in which a claim caught its smallest magnitude.
+    """Return at most ``most`` faults, each with a run at the smallest magnitude that a claim caught.
 
     Each claim appears with one fault only, so that the page shows as many claims as possible. A catch without
-    a claim (a failed run, a changed answer) is omitted. Ctrl-C raises KeyboardInterrupt.
+    a claim, such as a failed run or a changed answer, is omitted. Ctrl-C raises KeyboardInterrupt.
     """
     seen, runs = set[str](), list[tuple[FaultOutcome, JudgedRun]]()
     for outcome, rung, claim in _caught(outcomes):
@@ -40,7 +43,10 @@ def caught_runs(
 
 
 def _caught(outcomes: Sequence[FaultOutcome]) -> Iterator[tuple[FaultOutcome, Rung, str]]:
-    """Yield each caught fault, the rung of its smallest caught magnitude, and the first claim to catch it."""
+    """Yield each caught fault with two values.
+
+    They are the rung of its smallest caught magnitude, and the first claim that caught this magnitude.
+    """
     for outcome in outcomes:
         if not outcome.harmless and outcome.smallest is not None and outcome.alarm is not None:
             yield outcome, outcome.smallest, outcome.alarm.claim
@@ -49,7 +55,10 @@ def _caught(outcomes: Sequence[FaultOutcome]) -> Iterator[tuple[FaultOutcome, Ru
 def _again(
     outcome: FaultOutcome, rung: Rung, sentence: str, episode: Admitted, world: WorldEntry
 ) -> JudgedRun | None:
-    """Return the run with the fault, judged by one claim only; None if ``sentence`` is no claim."""
+    """Repeat the run with the fault, judge only the claim ``sentence``, and return the judged run.
+
+    Return None if ``sentence`` is not a claim.
+    """
     claims = [claim for claim in claims_of(episode.scenario) if claim.sentence == sentence]
     if not claims:
         return None

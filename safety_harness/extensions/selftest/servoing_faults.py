@@ -1,4 +1,4 @@
-"""Faults of the visual servo: in its features, interaction matrix and gain."""
+"""Define faults of the visual servo, in its features, its interaction matrix and its gain."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def _wrong_mount(records: ControllerRecords, angle_rad: float) -> None:
 @of_servoing("lost object not noticed", "the arm goes on by an old picture while the object is hidden")
 @seeded(seeing)
 def _blind_and_sure(_: float, admitted: Admitted) -> Change:
-    """Report the object as always visible, at the place where the camera last saw it."""
+    """Report the object as visible even if it is not, at the place where the camera last saw it."""
     last: list[NDArray[np.float64]] = []
 
     def see(observation: Records) -> Records:

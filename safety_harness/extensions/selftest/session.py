@@ -1,4 +1,4 @@
-"""Run one self-test in several processes, from its faults to its files.
+"""Run one complete self-test in several processes: choose the faults, try them, and write the files.
 
 The session stores each finished fault at once, so that a later failure loses no result.
 """
@@ -38,9 +38,9 @@ PAGE, DATA = "selftest.html", "selftest.json"
 
 @dataclass(eq=False)
 class SelfTestSession:
-    """The outcomes of the faults tried so far, among the faults with these ``numbers`` in EVERY.
+    """A self-test in progress, with its outcomes so far. It tries the faults with these ``numbers`` in EVERY.
 
-    ``remarks`` concern the sound system, which the constructor tries. ``broken`` is the reason why the
+    ``remarks`` are about the sound system, which the constructor tries out. ``broken`` is the reason why the
     self-test ended early. The constructor raises InputError if scenarios cannot be used.
     """
 
@@ -63,7 +63,10 @@ class SelfTestSession:
         return [self.done[EVERY[n].name] for n in self.numbers if EVERY[n].name in self.done]
 
     def run(self, jobs: int, on_fault: Callable[[FaultOutcome], None]) -> None:
-        """Try all faults until Ctrl-C or a defect ends the test; OSError if a file cannot be written."""
+        """Try all faults, unless Ctrl-C or a defect ends the test earlier.
+
+        Raise OSError if a file cannot be written.
+        """
         results = outcomes(self.plan, self.numbers, jobs)
         try:
             while (outcome := next(results, None)) is not None:
@@ -116,7 +119,7 @@ class SelfTestSession:
 
 
 def numbers_of(text: str | None) -> list[int]:
-    """Return the numbers in EVERY of the faults whose name contains ``text``.
+    """Return the indices in EVERY of the faults whose name contains ``text``.
 
     Raise SettingsError if there is no such fault.
     """
@@ -129,10 +132,11 @@ def numbers_of(text: str | None) -> list[int]:
 
 
 def try_out(trials: FaultTrials, fault: SeededFault) -> FaultOutcome:
-    """Return the outcome of ``fault``, tried down its ladder until a magnitude survives.
+    """Try a ``fault``, and return its outcome.
 
-    A reference repeats the smallest catch. A harmless change runs on the whole suite, and all its alarms are
-    kept.
+    The function tries the magnitudes in order, beginning with the worst, until no claim catches one of them.
+    It then repeats the run with the smallest caught magnitude in a reference world. A harmless change runs on
+    the whole suite instead, and all of its alarms are recorded.
     """
     if not trials.applies(fault):
         return outcome_of(fault, (), applies=False)
@@ -145,6 +149,7 @@ def try_out(trials: FaultTrials, fault: SeededFault) -> FaultOutcome:
             break
     caught = [rung for rung in rungs if rung.caught]
     if caught:
+        # The caught magnitudes come first, so this is the smallest of them.
         rungs[len(caught) - 1] = trials.confirmed(fault, caught[-1])
     return outcome_of(fault, rungs)
 
@@ -161,7 +166,10 @@ def _try(number: int) -> FaultOutcome:
 
 
 def outcomes(plan: SelfTestPlan, numbers: list[int], jobs: int) -> Iterator[FaultOutcome]:
-    """Yield the outcome of each fault of ``numbers`` when it is finished; with one job, in this process."""
+    """Yield the outcome of each fault in ``numbers`` when it is finished.
+
+    A single job runs in this process.
+    """
     if jobs == 1:
         trials = FaultTrials(plan.episodes(), plan.world)
         yield from (try_out(trials, EVERY[number]) for number in numbers)

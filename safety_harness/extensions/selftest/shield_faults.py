@@ -1,6 +1,7 @@
-"""Faults of a shield, which is blind, forgets a part of the arm, or assumes too low a speed of hands.
+"""Define faults of a shield.
 
-They are tried where only a shield protects hands, because the controller does not avoid them.
+The shield is blind, omits a part of the arm, or assumes that hands are slower than they are. The faults are
+tried where only the shield protects hands, because the controller does not avoid hands.
 """
 
 from __future__ import annotations
@@ -21,11 +22,11 @@ from safety_harness.extensions.selftest.fault import (
 from safety_harness.extensions.selftest.system import ChangedSystem
 from safety_harness.scenario.shield import Shield
 
-FAR_M = 10.0
+FAR_M = 10.0  # far from any arm; a choice
 
 
 def _alone(system: ChangedSystem) -> ChangedSystem:
-    """Return the system with a shield, whose controller does not avoid hands.
+    """Return the system with a shield, and with a controller that does not avoid hands.
 
     A system with an eye-in-hand sensor is returned unchanged.
     """

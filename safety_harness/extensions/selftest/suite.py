@@ -1,6 +1,7 @@
-"""Choose the episodes for faults: shipped scenarios, then draws of the spaces, in a fixed order.
+"""Choose the episodes in which faults are tried: shipped scenarios, followed by draws of the spaces.
 
-``quick`` takes a couple of minutes on two idle cores; ``nightly`` uses all scenarios and many draws.
+The order of the episodes is fixed. ``quick`` takes a couple of minutes on two idle cores; ``nightly`` uses
+all scenarios and many draws.
 """
 
 from __future__ import annotations
@@ -53,8 +54,8 @@ TELLING = (
 class SelfTestProfile:
     """The extent of a self-test.
 
-    It always includes the TELLING scenarios, with ``others`` all other scenarios, and ``draws`` draws of each
-    space.
+    It always includes the TELLING scenarios and ``draws`` draws of each space. If ``others`` is true, it also
+    includes all other scenarios.
     """
 
     name: str
@@ -62,8 +63,8 @@ class SelfTestProfile:
     draws: int
 
 
-QUICK = SelfTestProfile(name="quick", others=False, draws=2)
-NIGHTLY = SelfTestProfile(name="nightly", others=True, draws=30)
+QUICK = SelfTestProfile(name="quick", others=False, draws=2)  # for a couple of minutes
+NIGHTLY = SelfTestProfile(name="nightly", others=True, draws=30)  # draws: a choice
 PROFILES = (QUICK, NIGHTLY)
 
 
@@ -78,10 +79,11 @@ def profile_named(name: str) -> SelfTestProfile:
 
 @dataclass(frozen=True)
 class SelfTestPlan:
-    """The profile of a self-test, the folder of scenarios, and the ``avoider`` that replaces their own.
+    """The profile of a self-test, the folder of the scenarios, and replacements of parts of the scenarios.
 
-    ``safety_filter`` is the user's filter that each scenario gets, if any, and ``predictor`` the predictor of
-    each scenario with the visual servo. ``world`` is that of all runs.
+    ``avoider`` replaces the avoider of each scenario, unless it is None. ``safety_filter`` is the user's
+    filter in each scenario, or None. ``predictor`` is the predictor in each scenario with the visual servo,
+    or None. ``world`` is the world of all runs.
     """
 
     profile: SelfTestProfile
@@ -94,9 +96,10 @@ class SelfTestPlan:
     def episodes(self) -> tuple[Admitted, ...]:
         """Return the episodes, at least one, in the order in which they are tried.
 
-        The TELLING scenarios of ``folder`` come first, then the other scenarios, then draws of the folder's
-        spaces. A profile without ``others`` omits the other scenarios if there are any telling ones.
-        Scenarios that the world cannot run are always omitted.
+        The first episodes are the scenarios in ``folder`` that are listed in TELLING. They are followed by
+        the other scenarios in ``folder``, and finally by draws of the folder's spaces. If ``others`` is false
+        and ``folder`` has TELLING scenarios, the other scenarios are omitted. Scenarios that the world cannot
+        run are always omitted.
 
         The method raises InputError if a file cannot be used, or if no episode is left.
         """
@@ -116,6 +119,7 @@ class SelfTestPlan:
         episodes = list(self._admitted(telling if telling and not self.profile.others else ordered))
         spaces = [read_space(path) for path in sorted((folder / "spaces").glob("*.yaml"))]
         for number, space in enumerate(spaces):
+            # A fixed seed: every self-test draws the same scenarios, so that two of them can be compared.
             drawn = draw_admissible(space, seed(0, Branch.SELFTEST, 0, number), self.profile.draws)
             episodes += self._admitted(drawn.scenarios)
         if not episodes:
@@ -143,11 +147,15 @@ class SelfTestPlan:
 
 def _rank(scenario: Scenario) -> tuple[int, float, str]:
     place = TELLING.index(scenario.name) if scenario.name in TELLING else len(TELLING)
+    # Only scenarios longer than ``LONG_S`` come last; among the others, the name decides.
     return place, max(scenario.duration_s, LONG_S), scenario.name
 
 
 def claims_of(scenario: Scenario) -> tuple[Claim, ...]:
-    """Return the whole catalogue with its examples' limits, and the scenario's claims that must hold."""
+    """Return the claims with which a scenario is judged.
+
+    They are the examples of all catalogue entries, and those of the scenario's own claims that must hold.
+    """
     examples = [Claim(sentence=entry.example, expected=Verdict.HOLDS) for entry in CATALOGUE]
     known = {claim.sentence for claim in examples}
     own = [c for c in scenario.claims if c.expected is Verdict.HOLDS and c.sentence not in known]

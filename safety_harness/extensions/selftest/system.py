@@ -1,8 +1,8 @@
-"""Define the system under test with an interface for changes to avoider, gate, controller and world.
+"""Define a system under test whose avoider, gate, controller and world can be changed.
 
-A fault never changes the system's own code. It wraps the avoider, the gate or the world, or it edits the
-records that a run's controller and world read. Each method ``with_...`` returns another system and leaves its
-own system sound.
+A fault never changes the system's own code. Instead, it wraps the avoider, the gate or the world, or it edits
+records that the controller and the world read in a run. Each method ``with_...`` returns a new system and
+does not change its own system.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ MakesChange = Callable[[Admitted], Change]  # called for each run, since a chang
 
 @dataclass(frozen=True, eq=False)
 class ChangedSystem:
-    """An admitted scenario, with the changes that its controller and its world get in each run."""
+    """An admitted scenario, and changes to its controller and to its world; each run applies all changes."""
 
     admitted: Admitted
     edits: tuple[Callable[[AvoidingServo], None], ...] = ()
@@ -43,7 +43,7 @@ class ChangedSystem:
     filter_edits: tuple[Callable[[FilterCalls], None], ...] = ()
 
     def with_avoider(self, wrap: Callable[[Avoider], Avoider]) -> ChangedSystem:
-        """Return the system with the avoider that ``wrap`` makes around its own."""
+        """Return a copy of the system with a new avoider, which ``wrap`` makes from the present avoider."""
         return replace(self, admitted=replace(self.admitted, avoider=wrap(self.admitted.avoider)))
 
     def with_gate(self, cls: type[Gate] = Gate, /, **changed: Any) -> ChangedSystem:
@@ -55,38 +55,38 @@ class ChangedSystem:
         return replace(self, edits=(*self.edits, edit))
 
     def with_records(self, edit: Callable[[ControllerRecords], None]) -> ChangedSystem:
-        """Return the system with an edit of the controller's parameters or memory before each run."""
+        """Return the system in which ``edit`` changes the controller's records before each run."""
         return replace(self, edits=(*self.edits, lambda pilot: edit(pilot.records)))
 
     def with_pilot(self, wrap: Callable[[AvoidingServo], Controller]) -> ChangedSystem:
-        """Return the system with the controller that ``wrap`` makes around its own."""
+        """Return a copy of the system with a new controller, which ``wrap`` makes from the present one."""
         return replace(self, pilot=wrap)
 
     def with_filter(self, edit: Callable[[FilterCalls], None]) -> ChangedSystem:
-        """Return the system with an edit of the safety filter's calls before each run."""
+        """Return the system in which ``edit`` changes the calls of the safety filter before each run."""
         return replace(self, filter_edits=(*self.filter_edits, edit))
 
     def with_world(self, wrap: Callable[[Any], World]) -> ChangedSystem:
-        """Return the system with the world that ``wrap`` makes around its own."""
+        """Return a copy of the system with a new world, which ``wrap`` makes from the present world."""
         return replace(self, worlds=(*self.worlds, wrap))
 
     def seeing(self, make: MakesChange) -> ChangedSystem:
-        """Return the system with a change of the observations between its world and its controller."""
+        """Return the system with a change to the observations that its controller gets from its world."""
         return self.with_world(lambda world: WorldWrapper(world, see=make(self.admitted)))
 
     def obeying(self, make: MakesChange) -> ChangedSystem:
-        """Return the system with a change of the commands between its controller and its world."""
+        """Return the system with a change to the commands that its world gets from its controller."""
         return self.with_world(lambda world: WorldWrapper(world, obey=make(self.admitted)))
 
     def starting_at(self, joint_position_rad: ArrayN) -> ChangedSystem:
-        """Return the system with another joint position (n,) [rad] at the start."""
+        """Return the system with the joint positions ``joint_position_rad`` (n,) at the start."""
         return replace(self, admitted=replace(self.admitted, joint_position_rad=joint_position_rad))
 
     def run(self, world: WorldEntry = KINEMATIC) -> Trace:
         """Run the system once.
 
-        Exceptions of the faults pass through, and Ctrl-C raises KeyboardInterrupt. Each run creates a user's
-        controller anew, so that no fault leaves a trace in it.
+        Exceptions that a fault raises are passed on, and Ctrl-C raises KeyboardInterrupt. Each run creates a
+        new instance of the user's controller. A fault in one run therefore does not affect later runs.
         """
         admitted = self.admitted
         if admitted.predictor is not None:
@@ -118,28 +118,32 @@ class ChangedSystem:
 
 
 class Delayed:
-    """A queue that releases each item ``delay_s`` after it was put in."""
+    """A queue from which an item can be taken once ``delay_s`` has passed since it was added."""
 
     def __init__(self, delay_s: float) -> None:
         self._delay_s = delay_s
         self._waiting: deque[tuple[float, Any]] = deque()
 
     def put(self, now_s: float, item: Any) -> None:
-        """Put ``item`` into the queue at the time ``now_s``."""
+        """Add ``item`` to the queue; ``now_s`` is the present time."""
         self._waiting.append((now_s, item))
 
     def due(self, now_s: float) -> Any | None:
-        """Return the latest item that is due at ``now_s``, and drop all due items; None if no item is due."""
+        """Remove all items that are due at ``now_s``, and return the latest of them.
+
+        The result is None if no item is due.
+        """
         last = None
+        # The tolerance allows for rounding in the sum of two times.
         while self._waiting and self._waiting[0][0] + self._delay_s <= now_s + 1e-9:
             _, last = self._waiting.popleft()
         return last
 
 
 class WorldWrapper:
-    """A world whose observations or commands are changed; everything else is the inner world's own.
+    """A wrapper of a world that changes its observations or commands and leaves everything else unchanged.
 
-    ``acted_faults`` has bits only for the scenario's faults, not for a fault that is seeded from outside.
+    ``acted_faults`` contains only the faults in the scenario. It does not contain seeded faults.
     """
 
     name: str
@@ -155,14 +159,20 @@ class WorldWrapper:
         return getattr(self.world, name)
 
     def true_state(self, tick: Records) -> None:
-        """Write the unchanged truth of the inner world into ``tick``."""
+        """Write the true state of the inner world into ``tick``, without any change."""
         self.world.true_state(tick)
 
     def observe(self) -> Records:
-        """Return the (1,) OBSERVATION, to which the change of observations is applied if there is one."""
+        """Return an OBSERVATION, shape (1,).
+
+        If there is a change of observations, it has been applied.
+        """
         observation = self.world.observe()
         return observation if self._see is None else self._see(observation.copy())
 
     def step(self, command: Records) -> bool:
-        """Pass the (1,) COMMAND to the world, after the change of commands if there is one."""
+        """Pass the COMMAND to the world, shape (1,).
+
+        If there is a change of commands, it is applied first.
+        """
         return self.world.step(command if self._obey is None else self._obey(command.copy()))

@@ -1,4 +1,4 @@
-"""Faults that change when events happen."""
+"""Define faults that change the time at which events happen."""
 
 from __future__ import annotations
 
@@ -31,6 +31,7 @@ def _late_commands(delay_s: float, admitted: Admitted) -> Change:
     def obey(command: Records) -> Records:
         waiting.append(command)
         if len(waiting) <= cycles:
+            # Before the first delayed command, the arm stands still.
             return np.zeros_like(command)
         return waiting.popleft()
 
@@ -40,7 +41,10 @@ def _late_commands(delay_s: float, admitted: Admitted) -> Change:
 @of_timing("missed cycles", "a controller that is not heard for part of every second")
 @seeded(obeying, (0.9, 0.5, 0.2, 0.05), "ms of a second", 1e3)
 def _missed(pause_s: float, admitted: Admitted) -> Change:
-    """Lose the controller's commands for a part of each second, while the drives keep the last command."""
+    """Lose the controller's commands during a part of each second.
+
+    Meanwhile, the drives repeat the last command.
+    """
     period_s = admitted.scenario.settings.clock.control_period_s
     held: list[Records] = []
     ticks = 0
@@ -79,7 +83,7 @@ def _slow(records: ControllerRecords, seconds: float) -> None:
 @of_timing("frames stamped too early", "a hand is extrapolated over a time that has not passed")
 @seeded(seen, (0.5, 0.2, 0.1, 0.05), "ms", 1e3)
 def _stamped_late(admitted: Admitted, by_s: float, observation: Records) -> None:
-    """Give camera frames a time that is earlier than their own by ``by_s``."""
+    """Subtract ``by_s`` from the time of each camera frame."""
     if observation[0]["boxes_new"]:
         observation[0]["boxes_time_s"] -= by_s
 

@@ -1,4 +1,4 @@
-"""Try one fault in a sound system: find claims that the fault violates and the sound system keeps."""
+"""Seed one fault into a correct system, and find the claims that hold without the fault and fail with it."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ CLEAR = {
 
 @dataclass(frozen=True, kw_only=True)
 class Alarm:
-    """A claim that is violated with the fault, although it holds without the fault in the same scenario.
+    """A claim that holds without the fault but is violated with the fault, in the same scenario.
 
-    ``margin`` is the margin with the fault, and ``before`` the margin without it. ``true`` states that
-    independent geometry confirms the alarm, which matters only for harmless changes.
+    ``margin`` is the margin with the fault, and ``before`` is the margin without the fault. ``true`` is used
+    only for harmless changes. It is True if independent geometry confirms the alarm.
     """
 
     claim: str
@@ -64,10 +64,11 @@ class Alarm:
 
 @dataclass(frozen=True, kw_only=True)
 class Geometry:
-    """The findings of PyBullet's kinematics and distances on the hand distance, in runs with hands.
+    """The results of an independent check of the hand distance with PyBullet, in runs with hands.
 
-    The limit is kept in ``kept`` runs and broken in ``broken`` runs; the other runs are too near to it to
-    decide. In the runs ``contradicted``, the harness's verdict is the opposite.
+    The limit of the distance is satisfied in ``kept`` runs, and violated in ``broken`` runs. The other runs
+    are too near to the limit to decide. In the runs ``contradicted``, the harness's verdict contradicts these
+    results.
     """
 
     runs: int = 0
@@ -76,7 +77,7 @@ class Geometry:
     contradicted: tuple[str, ...] = ()
 
     def with_run(self, scenario: str, kept: Kept, verdict: Verdict) -> Geometry:
-        """Return the findings with those of a further run."""
+        """Return the findings with another run added."""
         contradicted = {Kept.PROVEN: Verdict.VIOLATED, Kept.REFUTED: Verdict.HOLDS}.get(kept) is verdict
         return Geometry(
             runs=self.runs + 1,
@@ -88,10 +89,11 @@ class Geometry:
 
 @dataclass(frozen=True, kw_only=True)
 class Rung:
-    """One magnitude of a fault, the number of episodes tried with it, and the alarms.
+    """The result of one magnitude of a fault: the number of tried episodes, and the alarms.
 
-    ``alarms`` are all alarms of the episode that caught the fault. ``confirmed`` states whether the
-    reference ``confirming`` shows the catch too; None if none ran. Only harmless changes have a ``geometry``.
+    ``alarms`` are all alarms of the episode that caught the fault. ``confirming`` is a reference world.
+    ``confirmed`` is True if a claim also catches the fault in that world. It is None if no reference ran.
+    Only harmless changes have a ``geometry``.
     """
 
     magnitude: float
@@ -120,9 +122,9 @@ class FaultTrials:
         """Return whether a fault applies to these episodes.
 
         A fault of the spread applies only to an avoider with a spread. If a controller replaces the visual
-        servo, faults of the avoider, the gate and the servo's own records do not apply. Faults of our shield
-        apply only without a user's safety filter, and faults of a filter only with one.
-        Faults of the Kalman filter do not apply where a predictor replaces it.
+        servo, a fault that changes the avoider, the gate or the servo's records does not apply. Faults of our
+        shield apply only to systems without a user's safety filter, and faults of a filter apply only to
+        systems with one. Faults of the Kalman filter do not apply where a predictor replaces it.
         """
         filtered = any(episode.safety_filter is not None for episode in self.episodes)
         if fault.of_filter or (filtered and fault.circumstance.name == BEHIND_A_SHIELD):
@@ -147,7 +149,7 @@ class FaultTrials:
         return own and not faulty.edits and faulty.pilot is None
 
     def rung(self, fault: SeededFault, magnitude: float) -> Rung:
-        """Return the result of one magnitude, tried on one episode after another until the first catch."""
+        """Try one magnitude on one episode after another until the first catch, and return the result."""
         text, alarms = fault.ladder.label(magnitude), tuple[Alarm, ...]()
         for number in range(len(self.episodes)):
             alarms = self.alarms(fault, magnitude, number)
@@ -183,9 +185,10 @@ class FaultTrials:
         )
 
     def confirmed(self, fault: SeededFault, rung: Rung) -> Rung:
-        """Return ``rung`` with whether a claim that caught the fault is violated in another reference too.
+        """Repeat the catch in another reference world, and return ``rung`` with the result.
 
-        The rung is returned unchanged if no other reference is installed.
+        The result states whether a claim that caught the fault is also violated in that reference. The rung
+        is returned unchanged if no other reference is installed.
         """
         if (reference := self.confirming) is None:
             return rung
@@ -195,18 +198,23 @@ class FaultTrials:
 
     @cached_property
     def confirming(self) -> WorldEntry | None:
-        """The first installed reference other than the world of the runs; None if there is none."""
+        """The first installed reference that is not the world of the runs; None if there is no such world."""
         return next((world for world in references() if world.name != self.world.name), None)
 
     def _with_and_without(
         self, fault: SeededFault, magnitude: float, number: int, world: WorldEntry | None = None
     ) -> tuple[Evaluations, Evaluations, Trace | None]:
-        """Return the evaluations without and with the fault, and the run with it; None if that run failed."""
+        """Return the evaluations without the fault, the evaluations with it, and the run with it.
+
+        The run is None if it failed.
+        """
         system = fault.circumstance.bring_about(ChangedSystem(self.episodes[number]))
         world = world or self.world
         key = (number, fault.circumstance.name, world.name)
+        # Without a fault, a run depends only on the key; all faults and magnitudes share it.
         if key not in self._sound:
             run = system.run(world)
+            # An error of this package, and no catch.
             if theorem_bits(run) & REFUTED:
                 raise RuntimeError(f"the sound run {run.scenario.name} refutes the theorem of its shield")
             self._sound[key] = evaluations_of(system.admitted, run)
@@ -219,7 +227,7 @@ class FaultTrials:
 
 
 def alarms_between(sound: Evaluations, faulty: Evaluations, scenario: str) -> tuple[Alarm, ...]:
-    """Return the claims that hold in the sound run and are violated by a clear margin in the faulty run."""
+    """Return an alarm for each claim that holds without the fault and is clearly violated with the fault."""
     return tuple(
         Alarm(
             claim=claim,
@@ -233,13 +241,20 @@ def alarms_between(sound: Evaluations, faulty: Evaluations, scenario: str) -> tu
 
 
 def confirmed_by(kept: Kept, alarms: Sequence[Alarm]) -> tuple[Alarm, ...]:
-    """Return ``alarms``; an alarm about the hand distance is true if the geometry refutes the limit."""
+    """Return ``alarms`` with the attribute ``true`` set.
+
+    This attribute is True for an alarm about the hand distance if the geometric check refutes the limit.
+    """
     refuted = kept is Kept.REFUTED
     return tuple(replace(alarm, true=refuted and alarm.claim == HAND_DISTANCE.example) for alarm in alarms)
 
 
 def fallen(sound: Evaluation, faulty: Evaluation) -> bool:
-    """Return whether a claim that held is violated now, with margins at least ``CLEAR`` apart."""
+    """Return whether a fault caused a clear violation of a claim.
+
+    The verdict must change from "holds" to "violated". If both evaluations have a margin, the margin must
+    also decrease by at least ``CLEAR``.
+    """
     if (sound.verdict, faulty.verdict) != (Verdict.HOLDS, Verdict.VIOLATED):
         return False
     if sound.margin is None or faulty.margin is None:
@@ -248,7 +263,7 @@ def fallen(sound: Evaluation, faulty: Evaluation) -> bool:
 
 
 def evaluations_of(admitted: Admitted, trace: Trace) -> dict[str, Evaluation]:
-    """Return the evaluations of one run by their sentences: all claims, and two further checks."""
+    """Return the evaluations of one run by sentence, for all claims and for two further checks."""
     evaluations = {RUN_FAILED: check(RUN_FAILED, ""), SAME_TWICE: check(SAME_TWICE, _flaky(admitted, trace))}
     for claim in claims_of(admitted.scenario):
         evaluations[claim.sentence] = property_of(claim, trace.scenario).evaluate(trace)
@@ -266,7 +281,7 @@ def _flaky(admitted: Admitted, trace: Trace) -> str:
 
 
 def check(sentence: str, problem: str) -> Evaluation:
-    """Return a check without a margin as an evaluation, which holds unless there is a ``problem``."""
+    """Return the evaluation of a check without a margin; the check holds if ``problem`` is empty."""
     return Evaluation(
         sentence=sentence,
         verdict=Verdict.VIOLATED if problem else Verdict.HOLDS,

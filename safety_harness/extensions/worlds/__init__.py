@@ -1,1 +1,1 @@
-"""Worlds that do not belong to the core."""
+"""Provide worlds that do not belong to the core."""

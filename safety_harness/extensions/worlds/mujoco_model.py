@@ -1,4 +1,4 @@
-"""Make MuJoCo's model of the cell: the arm of a URDF on its seat, and the table."""
+"""Make MuJoCo's model of the cell: the table, and the arm of a URDF on its seat."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LEAST_STEPS = 2.0  # a contact's time constant in sub-steps, the least that MuJo
 
 @lru_cache(maxsize=16)
 def cell_model(arm: ArmModel, table_height_m: float, step_s: float) -> Any:
-    """Return the compiled ``mujoco.MjModel``, which runs share because they do not change it.
+    """Return the compiled ``mujoco.MjModel``. Runs share the model, because they do not change it.
 
     Args:
         arm: The arm on its seat.
@@ -62,7 +62,7 @@ def cell_model(arm: ArmModel, table_height_m: float, step_s: float) -> Any:
 
 
 def _urdf(arm: ArmModel) -> str:
-    """Return the arm's URDF as MuJoCo reads it."""
+    """Return the arm's URDF in the form that MuJoCo reads."""
     root = ElementTree.fromstring(resolved_urdf(arm, visuals=False))
     for element in [child for child in root if child.tag in UNUSED]:
         root.remove(element)

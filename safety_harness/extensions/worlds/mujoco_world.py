@@ -21,11 +21,11 @@ ROUNDING_RADPS2 = 1e-6  # of accelerations; a sub-step makes less than 1e-8 rad/
 
 
 class MujocoWorld(RecordedWorld):
-    """A scenario in MuJoCo, to be used once, as a context manager.
+    """A run of a scenario in MuJoCo; use the object once, as a context manager.
 
-    The set points of the drives go to motors with the torque limits of the URDF.  A control period has
-    ``physics_substeps`` steps of the engine.  Hands do not push anything; a contact is only a distance below
-    zero.
+    The set points of the drives are inputs of motors, whose torque limits come from the URDF. Each control
+    period consists of ``physics_substeps`` steps of the engine. Hands exert no forces; a contact is only a
+    distance below zero.
     """
 
     name = "mujoco"
@@ -58,9 +58,9 @@ class MujocoWorld(RecordedWorld):
         self.saturated = self.contacts = 0  # sub-steps
 
     def step(self, command: NDArray[np.void]) -> bool:
-        """Run drives, motors and physics for a control period, in which the hands move too.
+        """Run drives, motors and physics for one control period, during which the hands also move.
 
-        ``command`` (1,) COMMAND. Return True while the brakes act.
+        ``command`` (1,) COMMAND. Return True if the brakes are active.
         """
         r, data = self.records, self._data
         braking = drive_on(
@@ -70,6 +70,7 @@ class MujocoWorld(RecordedWorld):
         before_radps, tick = r.truth[0]["joint_velocity_radps"].copy(), int(r.clock[0]["tick"])
         own_radps = np.empty((self._substeps, len(self._speeds)))
         for k in range(self._substeps):
+            # The torques depend on the state after ``mj_step1``, so the step is done in two halves.
             mujoco.mj_step1(self._model, data)
             data.qfrc_applied[:] = self._torques_nm()
             mujoco.mj_step2(self._model, data)
@@ -80,14 +81,15 @@ class MujocoWorld(RecordedWorld):
         return braking
 
     def _torques_nm(self) -> NDArray[np.float64]:
-        """Return the motors' torques (nv,), which give the joints the wanted speeds after this sub-step.
+        """Return the motors' torques (nv,) that give the joints the wanted speeds after this sub-step.
 
-        A motor that would need more than its limit gives its limit; the other motors then need the torques
-        that hold their own speeds against its motion (``saturated_torques``).  Forces of contacts and of
-        joint stops are those of the sub-step before; otherwise, an arm that presses on the table would turn
-        its other joints away.
+        If a motor would need more than its limit, it gives its limit. The torques of the other motors are
+        then adjusted, so that their joints still reach the wanted speeds (see ``saturated_torques``). The
+        torques also balance the forces of contacts and joint stops in the previous sub-step. Without this
+        balance, an arm that presses on the table would move its other joints.
         """
         data = self._data
+        # Inverse dynamics: M times the acceleration that leads to the wanted speed, plus all other forces.
         need_radps2 = (self._wanted_radps - data.qvel) / self._step_s
         other_nm = data.qfrc_bias - data.qfrc_passive - data.qfrc_constraint
         torques_nm = np.empty(self._model.nv)
@@ -107,21 +109,22 @@ def saturated_torques(
     need_radps2: NDArray[np.float64],
     limit_nm: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the torques (n,) of motors, some of which cannot give their joints the needed accelerations.
+    """Return the torques of the motors if some of them are too weak for the needed accelerations, shape (n,).
 
-    A motor at its limit never turns its joint beyond the need; otherwise, it would push the joint back and
-    forth.  So each joint has what it needs, or less than that with its motor at the upper limit, or more with
-    its motor at the lower limit.  For a mass matrix, exactly one solution exists.  Exchanging only the first
-    joint that contradicts this finds it (Murty's least-index rule).
+    A motor at its limit never accelerates its joint beyond the need, because it would otherwise push the
+    joint back and forth. If the motor of a joint is not at a limit, the joint has exactly the acceleration
+    that it needs. At the upper limit the acceleration is at most the need, and at the lower limit it is at
+    least the need. For a mass matrix, exactly one solution exists. To find it, each step exchanges only the
+    first joint that contradicts these conditions (Murty's least-index rule).
 
     Args:
         mass: The mass matrix (n, n).
-        other_nm: The torques (n,) that the motors need without an acceleration.
+        other_nm: The torques (n,) that the motors need for zero acceleration.
         need_radps2: The accelerations (n,) that all joints need.
         limit_nm: The limits (n,) of the torques.
 
     Raises:
-        SimulationError: Rounding or NaN hides the solution.
+        SimulationError: Rounding or NaN prevents a solution.
 
     """
     at_end = np.zeros(len(need_radps2))  # 1 for a motor at its upper limit, -1 at its lower one, otherwise 0
@@ -129,6 +132,8 @@ def saturated_torques(
         weak, free = at_end != 0.0, at_end == 0.0
         torques_nm, radps2 = np.empty_like(need_radps2), need_radps2.copy()
         torques_nm[weak] = at_end[weak] * limit_nm[weak]
+        # The joints at a limit follow from the dynamics; the free joints have the accelerations that they
+        # need.
         moved_nm = torques_nm[weak] - other_nm[weak] - mass[np.ix_(weak, free)] @ need_radps2[free]
         radps2[weak] = np.linalg.solve(mass[np.ix_(weak, weak)], moved_nm)
         torques_nm[free] = mass[free] @ radps2 + other_nm[free]

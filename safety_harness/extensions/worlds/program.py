@@ -1,7 +1,7 @@
 """Run scenarios in the user's own simulator, a program that exchanges lines with the harness.
 
-The harness computes hands, sensors, drives and claims.  The simulator moves the arm.  Each of its states is
-checked; a state that cannot be true ends the run with an error, and never becomes evidence.
+The harness computes hands, sensors, drives and claims. The simulator moves the arm. Each state from the
+simulator is checked. A state that cannot be true ends the run with an error and never becomes evidence.
 """
 
 from __future__ import annotations
@@ -51,6 +51,7 @@ from safety_harness.trace.trace import Provenance
 LOGGER = logging.getLogger("safety_harness.world")
 PLACE = Place(field="world")
 BEGIN_S = 60.0  # for the start and the first message
+# The largest accepted differences from the harness's own state; a choice.
 SAME_RAD, SAME_S, SAME_M, SAME_DISTANCE_M = 1e-6, 1e-5, 1e-3, 5e-3
 ROUNDING_RAD = 1e-6  # of a position, with six decimals or as float32
 SPEEDS_TELL = 0.05  # the share of a joint's way that its speeds may leave unexplained in an episode
@@ -60,10 +61,10 @@ FOLLOWS = (0.55, 1.8)  # what a joint turns then, as a share of what its set poi
 
 
 def program_world(reference: str) -> WorldEntry:
-    """Return the world of a reference ``exec:COMMAND``, ``tcp:HOST:PORT`` or ``unix:PATH``.
+    """Return the world for a reference of the form ``exec:COMMAND``, ``tcp:HOST:PORT`` or ``unix:PATH``.
 
-    Nothing is executed before a scenario is opened. A simulator whose files have changed since it began ends,
-    so that the next run begins it anew.
+    No program is executed before a scenario is opened. If a file of a running simulator has changed since the
+    simulator started, the function ends the simulator. The next run then starts it again.
     """
     if (running := _running.get(reference)) is not None and running.is_edited:
         running.end()
@@ -89,7 +90,7 @@ class Simulator:
     """A user's simulator, in a process that serves one episode after another."""
 
     def __init__(self, reference: str) -> None:
-        """Start the program; raise ``InadmissibleError`` if it is no simulator."""
+        """Start the program; raise ``InadmissibleError`` if it is not a simulator."""
         self.reference, self._stamp = reference, _stamp(reference)
         self.sha256 = program_sha256(reference, PLACE)
         wire = json_wire(said_by_simulator.decode, MOST_BYTES)
@@ -102,7 +103,7 @@ class Simulator:
 
     @property
     def is_edited(self) -> bool:
-        """Whether the content of a file of the command has changed since the simulator began."""
+        """True if the content of any file in the command has changed since the simulator began."""
         if (stamp := _stamp(self.reference)) == self._stamp:
             return False
         if program_sha256(self.reference, PLACE) != self.sha256:
@@ -118,7 +119,10 @@ class Simulator:
         return welcome
 
     def acceleration_radps2(self, joints: int) -> NDArray[np.float64]:
-        """Return the bound of each joint's acceleration (joints,); infinite where the program states none."""
+        """Return the bound on each joint's acceleration, shape (joints,).
+
+        The bound is infinite if the simulator states no bound.
+        """
         stated = self._said.joint_acceleration_radps2
         bound = np.array(np.inf if stated is None else stated, dtype=np.float64)
         bound = np.full(joints, bound) if bound.ndim == 0 else bound
@@ -130,7 +134,7 @@ class Simulator:
         return bound
 
     def call(self, message: ProcessMessage, limit_s: float) -> WorldState:
-        """Return the simulator's state after a message; raise ``SimulationError`` without a valid one.
+        """Return the simulator's state after a message; raise ``SimulationError`` if there is no valid state.
 
         After an error, the next ``reset`` starts the program anew.
         """
@@ -138,6 +142,7 @@ class Simulator:
             if isinstance(message, WorldReset) and self.is_edited:
                 expected, got = "a simulator whose files do not change while a job runs", "other contents"
                 raise EditedProgramError(place=PLACE, expected=expected, got=got, hint="begin the job again")
+            # After an error, an old answer may still be on its way, so the episode begins in a new process.
             if isinstance(message, WorldReset) and not self._connection.quiet:
                 self._connection.end()
                 if self._begun() != self._said:
@@ -160,12 +165,12 @@ class Simulator:
         raise SimulationError(f"{self.reference}: {printable(reason)}")
 
     def end(self) -> None:
-        """End the process after an episode that failed, so that the next one begins anew."""
+        """End the process after an episode that failed, so that the next episode begins a new process."""
         self._connection.end()
 
     @property
     def described(self) -> str:
-        """Name, version, hash and repeatability, for provenance."""
+        """A text for the provenance of a run: the simulator's name, version, hash and repeatability."""
         of_file = f"sha256 {self.sha256}" if self.sha256 else "of unknown content"
         bits = "the same bits" if self.repeats else OTHER_BITS
         twice = f"{bits} in a second episode of {TRIED_S:g} s"
@@ -177,7 +182,10 @@ _running: dict[str, Simulator] = {}
 
 
 def _stamp(reference: str) -> list[tuple[int, int]]:
-    """Return size and time of change of each file in a command; to read the files would take longer."""
+    """Return the size and the modification time of each file in a command.
+
+    Comparing these values is faster than reading the files.
+    """
     files = filter(os.path.isfile, shlex.split(reference.removeprefix(EXEC)))
     return [(status.st_size, status.st_mtime_ns) for status in map(os.stat, files)]
 
@@ -228,13 +236,13 @@ class ProgramWorld(RecordedWorld):
         self._begin(reset)
 
     def provenance_of(self, made: Provenance) -> Provenance:
-        """Return the provenance of a run with the simulator's name, version and hash."""
+        """Return ``made`` with a description of the simulator, that is, its name, version and hash."""
         return replace(made, libraries=(*made.libraries, (SIMULATOR, self._simulator.described)))
 
     def step(self, command: NDArray[np.void]) -> bool:
         """Run the drives, and let the simulator move the arm by a control period.
 
-        ``command`` (1,) COMMAND. Return True while the brakes act.
+        ``command`` (1,) COMMAND. Return True if the brakes are active.
         """
         r = self.records
         braking = drive_on(
@@ -255,7 +263,7 @@ class ProgramWorld(RecordedWorld):
         return braking
 
     def _begin(self, reset: WorldReset) -> None:
-        """Begin an episode, whose first state must be the arm at rest at its start."""
+        """Begin an episode, and check that its first state is the arm at rest at the start position."""
         state = self._simulator.call(reset, self._limit_s)
         position_rad, velocity_radps = self._numbers(state, 0)
         start_rad = self.records.truth[0]["joint_position_rad"]
@@ -266,10 +274,10 @@ class ProgramWorld(RecordedWorld):
         self._compare(state)
 
     def _tried(self, reset: WorldReset) -> bytes:
-        """Return the states of a short episode as bytes, in which each joint follows its own slow set point.
+        """Return the states of a short episode as bytes; each joint follows its own slow set point.
 
-        Any two joints have set points of other signs or of twice the size, so that swapped joints, another
-        sign and another unit show.
+        The set points of any two joints differ in sign, or by a factor of at least two. Thus exchanged
+        joints, a wrong sign and a wrong unit are detected.
         """
         self._begin(reset)
         joints, ticks = len(self._commanded_radps), round(TRIED_S / self._period_s)
@@ -291,10 +299,12 @@ class ProgramWorld(RecordedWorld):
     def _overshoot_radps(
         self, state: WorldState, position_rad: NDArray[np.float64], velocity_radps: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return how far the speeds within the tick may leave the range of both its ends; check the motion.
+        """Check the motion between two ticks.
 
-        The mean speed lies in the stated range of speeds, if there is one.  Otherwise a joint whose
-        acceleration is at most a moves in dt by the mean of both speeds times dt, to within a dt^2 / 4.
+        Return how far the speeds during the motion may lie outside the range between the first and the last
+        speed. If the simulator states a range of speeds, the mean speed must lie in this range. Otherwise,
+        let a be the largest acceleration, dt the period, and s the mean of the first and the last speed. The
+        distance that a joint moves must differ from s dt by at most a dt^2 / 4.
         """
         truth, dt, tick = self.records.truth[0], self._period_s, state.tick
         ends_radps = np.stack([truth["joint_velocity_radps"], velocity_radps])
@@ -305,6 +315,7 @@ class ProgramWorld(RecordedWorld):
             least_radps, most_radps = self._range(state.joint_velocity_range_radps, velocity_radps, tick)
             above, below = most_radps - ends_radps.max(axis=0), ends_radps.min(axis=0) - least_radps
             beyond_radps = np.maximum(np.maximum(above, below), 0.0)
+        # A mean speed is the difference of two rounded positions.
         rounding_radps = ROUNDING_RAD / dt
         jump_radps = np.abs(ends_radps[1] - ends_radps[0]) - self._bound_radps2 * dt
         unranged = state.joint_velocity_range_radps is None
@@ -329,15 +340,16 @@ class ProgramWorld(RecordedWorld):
     def _compare_speeds(
         self, mean_radps: NDArray[np.float64], ends_radps: NDArray[np.float64], tick: int
     ) -> None:
-        """Compare the way of each joint since the start with the sum of its speeds.
+        """Compare the distance that each joint has moved since the start with the sum of its speeds.
 
-        Speeds of another size or sign show here, also where no range or bound is stated.
+        This detects speeds with a wrong size or sign, even if no range or bound is stated.
         """
         dt = self._period_s
         self._way_rad += np.abs(mean_radps) * dt
         self._unexplained_rad += (mean_radps - ends_radps.mean(axis=0)) * dt
         fastest_radps = np.maximum(np.abs(ends_radps).max(axis=0), np.abs(mean_radps))
         self._fastest_so_far_radps = np.maximum(self._fastest_so_far_radps, fastest_radps)
+        # A choice: a twentieth of the way, two ticks at the greatest speed, and the rounding of positions.
         most_rad = SPEEDS_TELL * self._way_rad + 2.0 * dt * self._fastest_so_far_radps + 1e-4
         if (joint := _first(~(np.abs(self._unexplained_rad) <= most_rad))) is not None:
             self._refuse(
@@ -348,7 +360,10 @@ class ProgramWorld(RecordedWorld):
     def _range(
         self, stated: tuple[list[float], list[float]], velocity_radps: NDArray[np.float64], tick: int
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the least and the largest speeds in a state, which include the speed at its end."""
+        """Return the stated range of speeds in a state.
+
+        The speed at the end of the tick must lie in this range.
+        """
         least_radps, most_radps = (np.array(speeds, dtype=np.float64) for speeds in stated)
         if least_radps.shape != velocity_radps.shape or most_radps.shape != velocity_radps.shape:
             self._refuse(f"joint_velocity_range_radps: expected two rows of {len(velocity_radps)} numbers")
@@ -357,7 +372,11 @@ class ProgramWorld(RecordedWorld):
         return least_radps, most_radps
 
     def _numbers(self, state: WorldState, tick: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return joint positions and speeds of a state, which must be of ``tick`` and have a number each."""
+        """Return the joint positions and speeds in a state.
+
+        Raise ``SimulationError`` if the state is for another tick than ``tick``, or if a number is missing or
+        not finite.
+        """
         if state.tick != tick or not abs(state.time_s - tick * self._period_s) <= SAME_S:
             expected = f"tick {tick} at {tick * self._period_s:g} s"
             self._refuse(f"its state is of tick {state.tick} at {state.time_s:g} s; expected {expected}")
@@ -371,7 +390,10 @@ class ProgramWorld(RecordedWorld):
         return arrays[0], arrays[1]
 
     def _compare(self, state: WorldState) -> None:
-        """Compare the simulator's TCP and hand distance with the harness's own, if it states them."""
+        """Compare the TCP and the hand distance in the simulator's state with the harness's own values.
+
+        The simulator may omit these two values.
+        """
         truth = self.records.truth[0]
         if state.tcp_position_in_base_m is not None:
             own_m = truth["transform_tcp_to_base"][:3, 3]
@@ -391,5 +413,5 @@ class ProgramWorld(RecordedWorld):
 
 
 def _first(flags: NDArray[np.bool_]) -> int | None:
-    """Return the index of the first True; None if there is none."""
+    """Return the index of the first True, or None if all are False."""
     return int(np.argmax(flags)) if flags.any() else None

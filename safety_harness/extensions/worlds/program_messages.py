@@ -1,4 +1,4 @@
-"""Define the messages between the harness and the user's simulator; docs/reference/world-protocol.md."""
+"""Define the messages between the harness and a user's simulator (docs/reference/world-protocol.md)."""
 
 from __future__ import annotations
 
@@ -24,8 +24,9 @@ class WorldHello(ProcessMessage, tag="hello"):
 class WorldWelcome(ProcessMessage, tag="hello", forbid_unknown_fields=True):
     """A simulator's description of itself.
 
-    ``joint_acceleration_radps2`` bounds the acceleration of each joint, or of all.  Without it, and without a
-    range of speeds in each state, claims that look between ticks are inconclusive.
+    ``joint_acceleration_radps2`` bounds the acceleration of each joint, with one number for each or one for
+    all. Without this bound, and without a range of speeds in each state, claims about the time between ticks
+    are inconclusive.
     """
 
     protocol: str
@@ -35,7 +36,7 @@ class WorldWelcome(ProcessMessage, tag="hello", forbid_unknown_fields=True):
 
 
 class WorldReset(ProcessMessage, tag="reset"):
-    """The start of an episode: the cell, the arm at rest, and a seed as text of digits."""
+    """The start of an episode: the cell, the arm at rest, and a seed as a text of digits."""
 
     urdf: str
     transform_seat: Any  # (4, 4), from the URDF's base link to the base frame
@@ -59,7 +60,7 @@ class HandNow(Struct):
 
 
 class WorldStep(ProcessMessage, tag="step"):
-    """The joints' set points from a tick to the next, after drives and brakes, and the hands at the tick."""
+    """The joints' set points until the next tick, after drives and brakes, and the hands at this tick."""
 
     tick: int
     joint_velocity_radps: Any  # (n,)
@@ -70,8 +71,8 @@ class WorldStep(ProcessMessage, tag="step"):
 class WorldState(ProcessMessage, tag="state", forbid_unknown_fields=True):
     """A simulator's state at a tick.
 
-    ``joint_velocity_range_radps`` are the least and the largest speed of each joint since the tick before.
-    The harness compares the last two fields with its own, if they are given.
+    ``joint_velocity_range_radps`` are the least and the largest speed of each joint since the previous tick.
+    If the last two fields are given, the harness compares them with its own values.
     """
 
     tick: int

@@ -34,13 +34,13 @@ _LOST = (
 
 
 def plan_against(ledger: Ledger, reference: str) -> Plan:
-    """Return the plan of ``ledger`` with another avoider or controller.
+    """Return the plan of ``ledger``, but with another avoider or controller.
 
     The function writes the plan and its files to a folder beside the ledger.
 
     Args:
         ledger: The open ledger.
-        reference: The new avoider or controller; the path of its file is relative to the working directory.
+        reference: The new avoider or controller. The path of its file is relative to the working directory.
 
     """
     systems = map(json.loads, ledger.declared.identity.systems)
@@ -50,14 +50,14 @@ def plan_against(ledger: Ledger, reference: str) -> Plan:
 
 
 def plan_with(files: Sequence[PlanFile], reference: str, folder: Path) -> Plan:
-    """Return the plan in ``files`` with another avoider or controller.
+    """Return the plan in ``files``, but with another avoider or controller.
 
     The function writes all files to a folder, and reads the plan from there.
 
     Args:
-        files: The files of a plan; the plan's own file comes first.
+        files: The files of a plan, beginning with the plan's own file.
         reference: A reference to an avoider, or a ``Driver``.
-        folder: The path of the new folder; the function appends the reference to its name.
+        folder: The path of the new folder, to whose name the function appends the reference.
 
     """
     slug = re.sub(r"[^a-z0-9]+", "-", reference.lower()).strip("-")
@@ -74,10 +74,10 @@ def plan_with(files: Sequence[PlanFile], reference: str, folder: Path) -> Plan:
 
 
 def against_lines(first: Ledger, second: Ledger) -> Iterator[str]:
-    """Yield sentences on the losses of ``second`` against the reference ``first``: margins, then violations.
+    """Yield a sentence about each claim that has a smaller margin in ``second`` than in ``first``.
 
-    The caller first checks both ledgers with ``compare_ledgers``. The sentences leave out each episode that
-    lacks a verdict in either ledger.
+    Then yield a sentence on each new violation. The caller first checks both ledgers with
+    ``compare_ledgers``. An episode that lacks a verdict in either ledger is left out.
     """
     path, reference = str(second.path), str(first.path)
     with second.attached(first.path, "first"):

@@ -1,4 +1,4 @@
-"""The episodes of a ledger that violate a claim, drawn again from their seeds to attribute the violations."""
+"""Draw a ledger's violating episodes again from their seeds, so that the violations can be attributed."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class ViolatedEpisodes:
 
     @classmethod
     def first(cls, ledger: Ledger, most: int) -> ViolatedEpisodes:
-        """Return the first violations of each claim in ``ledger``, at most ``most`` of each."""
+        """Return the first violations of each claim in ``ledger``, at most ``most`` violations per claim."""
         chosen: dict[tuple[int, int], tuple[int, ...]] = {}
         counts = [0] * len(ledger.declared.claims)
         for stratum, episode, claim in ledger.all(_VIOLATED):
@@ -44,7 +44,7 @@ class ViolatedEpisodes:
 
     @property
     def summary(self) -> str:
-        """The numbers of chosen violations, of all violations and of chosen episodes, in words."""
+        """A text that states how many of all violations were chosen, and from how many episodes."""
         chosen = sum(map(len, self.claims.values()))
         return f"{chosen} of {self.of} violations, in {len(self.claims)} episodes"
 
@@ -52,10 +52,10 @@ class ViolatedEpisodes:
 def violated_episodes(
     plan: Plan, violated: ViolatedEpisodes, *, programs: bool
 ) -> Iterator[tuple[Admitted, list[Claim]]]:
-    """Yield each episode of ``violated``, drawn and admitted again, with the claims that it violates.
+    """Yield each episode of ``violated``, drawn and admitted again, and the claims that the episode violates.
 
-    CampaignError if a draw names a program although ``programs`` is False. LedgerError if an episode cannot
-    be drawn again.
+    Raise CampaignError if ``programs`` is False and a draw refers to a program. Raise LedgerError if an
+    episode cannot be drawn again.
     """
     runner = EpisodeRunner(plan, programs=programs)
     for (stratum, episode), numbers in violated.claims.items():

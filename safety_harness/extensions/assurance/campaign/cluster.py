@@ -6,9 +6,9 @@ of this package or of a library differs from the client's.
 Each worker should have one thread and a nanny. A deadline can interrupt a user's avoider only on a main
 thread. The nanny restarts a worker that hangs.
 
-If a worker dies, Dask runs its tasks again on another worker. After several such deaths, Dask gives up each
-task that was on those workers, even if another task killed them. Therefore the pool runs such a task once
-more, alone, before it blames the task.
+If a worker dies, Dask runs its tasks again on another worker. After several such deaths, Dask abandons each
+task that was on those workers, even if another task caused the deaths. Therefore the pool runs an abandoned
+task once more, with no other task beside it, before it blames the task.
 """
 
 from __future__ import annotations
@@ -55,9 +55,10 @@ _OF_THREAD = threading.local()  # two threads must not call one avoider at the s
 def run_chunk(
     files: Sequence[PlanFile], identity: Identity, chunk: Chunk
 ) -> Sequence[Row] | InputError | Lost:
-    """Run ``chunk`` on a Dask worker, whose machine has no file of the plan, and return its rows.
+    """Run ``chunk`` on a Dask worker and return its rows.
 
-    The function returns errors as values, because Dask never reports an exception whose traceback cannot be
+    The worker's machine needs no file of the plan, because ``files`` has the contents of all files. The
+    function returns errors as values, because Dask never reports an exception whose traceback cannot be
     pickled.
     """
     try:
@@ -73,7 +74,11 @@ def run_chunk(
 
 
 def _bench(files: Sequence[PlanFile], identity: Identity) -> EpisodeRunner:
-    """Return the runner of a plan, made once; its files stay until the thread ends or gets another plan."""
+    """Return this thread's runner of the plan.
+
+    The function creates the runner on the first call for a plan. The plan's files stay on the disk until the
+    thread ends or receives another plan.
+    """
     if getattr(_OF_THREAD, "plan", "") != identity.sha256:
         _OF_THREAD.folder = tempfile.TemporaryDirectory(prefix="safety-harness-", ignore_cleanup_errors=True)
         file = unpacked(files, Path(_OF_THREAD.folder.name))
@@ -85,10 +90,10 @@ def _bench(files: Sequence[PlanFile], identity: Identity) -> EpisodeRunner:
 
 @dataclass(eq=False)
 class _Task:
-    """A chunk that the scheduler has accepted and not returned yet.
+    """A chunk that the scheduler has accepted but has not returned yet.
 
-    ``since_s`` is the time when the pool submitted the chunk. If ``begun`` is true, it is the time when the
-    pool first saw the chunk on a worker.
+    ``since_s`` is the time when the pool submitted the chunk. If ``begun`` is true, ``since_s`` is instead
+    the time when the pool first saw the chunk on a worker.
     """
 
     chunk: Chunk
@@ -99,10 +104,11 @@ class _Task:
 
 @dataclass(eq=False)
 class DaskCrew:
-    """A WorkerPool of the workers of a Dask scheduler.
+    """A WorkerPool that uses the workers of a Dask scheduler.
 
-    ``address`` is tcp://... or the path of a scheduler file. A chunk that takes too long counts as lost, and
-    the pool restarts its worker. InputError if no such scheduler answers.
+    ``address`` is the scheduler's address (tcp://...) or the path of a scheduler file. If a chunk takes too
+    long, the pool reports the chunk as lost and restarts its worker. The constructor raises InputError if no
+    scheduler answers at ``address``.
     """
 
     plan: Plan
@@ -125,25 +131,35 @@ class DaskCrew:
 
     @property
     def free(self) -> int:
-        """The number of chunks that the pool accepts now; 0 while a suspect runs or waits to run alone."""
+        """The number of chunks that the pool accepts now.
+
+        The number is 0 while a suspected chunk runs alone, or waits to run alone.
+        """
         if self._waiting is not None or any(task.alone for task in self._under_way.values()):
             return 0
         return max(max(self.size, 1) * _AHEAD - len(self._under_way), 0)
 
     def give(self, chunk: Chunk) -> None:
-        """Submit ``chunk`` as a separate task; a suspect waits until it can run alone."""
+        """Submit ``chunk`` as a separate task.
+
+        A suspected chunk waits until it can run alone.
+        """
         if chunk in self._suspects:
             self._waiting = chunk
         else:
             self._submit(chunk, alone=False)
 
     def _submit(self, chunk: Chunk, alone: bool) -> None:
+        # ``pure=False``: Dask must run the chunk again, and not return an earlier result of it.
         future = self._client.submit(run_chunk, self.plan.files, self.plan.identity, chunk, pure=False)
         self._under_way[future] = _Task(chunk, alone, time.monotonic())
         future.add_done_callback(self._finished.put)
 
     def take(self, timeout_s: float) -> Sequence[Event]:
-        """Return finished and lost chunks; raise an error in the plan only after all earlier events."""
+        """Return finished and lost chunks.
+
+        If the plan caused an error, raise the error only after all earlier events have been returned.
+        """
         if self._mistake is not None:
             raise self._mistake
         if self._waiting is not None and not self._under_way:
@@ -163,7 +179,10 @@ class DaskCrew:
         return events
 
     def close(self) -> None:
-        """Close the client, so that the scheduler drops its unfinished tasks; the cluster keeps running."""
+        """Close the client, so that the scheduler drops its unfinished tasks.
+
+        The cluster continues to run.
+        """
         with suppress(OSError, TimeoutError):
             self._client.close(timeout=_ANSWER_S)
 
@@ -188,19 +207,23 @@ class DaskCrew:
         return [Arrived(task.chunk, tuple(answer), last=True)]
 
     def _lost(self, task: _Task, error: BaseException) -> Lost:
-        """Return the ``Lost`` event of ``task``, which Dask gave up."""
+        """Return the ``Lost`` event for a ``task`` that Dask has abandoned."""
         from distributed import KilledWorker
 
         if not isinstance(error, KilledWorker):
             return self._refusal(
                 task, " because of ".join(described(e) for e in (error, error.__cause__) if e)
             )
+        # A worker that dies takes all of its tasks with it, so only an episode that ran alone is blamed.
         if len(task.chunk.episodes) == 1:
             self._suspects.add(task.chunk)
         return Lost(task.chunk, "its worker died", times=error.allowed_failures + 1 if task.alone else 0)
 
     def _refusal(self, task: _Task, why: str) -> Lost:
-        """Return a loss that blames no episode; CampaignError after ``_MOST_REFUSED`` losses in a row."""
+        """Return a ``Lost`` event in which no episode of the task is blamed.
+
+        Raise CampaignError if this is the ``_MOST_REFUSED``-th consecutive event of this kind.
+        """
         self._refused += 1
         if self._refused >= _MOST_REFUSED:
             raise CampaignError(
@@ -226,10 +249,10 @@ class DaskCrew:
                 raise self._gone() from error
 
     def _look_for_hung(self, threads: dict[str, int], events: list[Event]) -> None:
-        """Drop each task that began too long ago, or that no worker began in time although there are workers.
+        """Drop each task that has run for too long, or that no worker has started in time.
 
-        A worker with n threads works on the first n of its tasks, in the order in which the pool submitted
-        them.
+        Tasks that have not started are dropped only if there are workers. A worker with n threads works on
+        the first n of its tasks, in the order in which the pool submitted them.
         """
         allowed_s, now_s = self.limits.first_s + self.limits.silence_s, time.monotonic()
         place = {future.key: k for k, future in enumerate(self._under_way)}
@@ -251,16 +274,17 @@ class DaskCrew:
             events.append(Lost(task.chunk, f"no result within {allowed_s:g} s", times=int(task.begun)))
         workers = sorted({worker for worker in hung.values() if worker})
         self.replaced += len(workers)
+        # Cancelling does not end a task that runs already; only a restart of its worker does.
         self._client.cancel(list(hung), force=True)
         if workers:
             self._client.restart_workers(workers, timeout=_ANSWER_S, raise_for_error=False)
 
 
 def connected(where: str, timeout_s: float) -> Any:
-    """Return a ``distributed.Client`` of the scheduler at the address ``where`` (tcp://...), or in that file.
+    """Return a ``distributed.Client`` of the scheduler whose address (tcp://...) or file is ``where``.
 
-    InputError if the scheduler does not answer within ``timeout_s``. MissingPackageError if Dask is not
-    installed.
+    Raise InputError if the scheduler does not answer within ``timeout_s``. Raise MissingPackageError if Dask
+    is not installed.
     """
     with CLUSTER.needed("--cluster"):
         from distributed import Client
@@ -276,7 +300,10 @@ def connected(where: str, timeout_s: float) -> Any:
 
 
 def _address_in(file: Path) -> str:
-    """Return the address in a scheduler file; raise an error if there is no file, where Dask would wait."""
+    """Return the address in a scheduler file.
+
+    Raise an error if the file does not exist, because Dask itself would wait for it.
+    """
     try:
         address = json.loads(file.read_text(encoding="utf-8"))["address"]
     except FileNotFoundError:
@@ -287,7 +314,10 @@ def _address_in(file: Path) -> str:
 
 
 async def _refuse_no_scheduler(address: str, timeout_s: float) -> None:
-    """Shake hands, because a Client waits for ever if another program takes the connection."""
+    """Check that a scheduler answers.
+
+    A Client waits for ever if another program accepts the connection.
+    """
     from distributed.comm.core import connect
 
     shake_hands: Any = connect  # which has no types

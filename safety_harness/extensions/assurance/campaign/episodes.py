@@ -64,7 +64,7 @@ def _root_seed(seed: int, number: int, episode: int) -> int:
 
 
 def random_episodes(plan: Plan, stratum: int) -> frozenset[int]:
-    """Return the episodes of a stratum whose traces are kept in any case, as chosen before all runs."""
+    """Return the episodes of a stratum whose traces the ledger keeps regardless of their outcome."""
     declared = plan.strata[stratum]
     count = min(plan.random_traces, declared.runs)
     rng = generator(plan.seed, Branch.CAMPAIGN, declared.number)
@@ -72,7 +72,7 @@ def random_episodes(plan: Plan, stratum: int) -> frozenset[int]:
 
 
 def failed_row(plan: Plan, stratum: int, episode: int, failure: str, *, draws: int = 0) -> Row:
-    """Return the row of an episode that could not run; the row has the outcome FAILED for each claim."""
+    """Return the row of an episode that could not run, with the outcome FAILED for each claim."""
     return Row(
         stratum=stratum,
         episode=episode,
@@ -85,7 +85,7 @@ def failed_row(plan: Plan, stratum: int, episode: int, failure: str, *, draws: i
 
 @dataclass(frozen=True)
 class Drawn:
-    """An episode with its admitted draw, and the number of draws until admission accepted it."""
+    """An episode, its admitted draw, and the number of draws that were made to obtain the admitted draw."""
 
     episode: int
     draws: int
@@ -94,12 +94,13 @@ class Drawn:
 
 @dataclass(eq=False)
 class EpisodeRunner:
-    """A runner of a plan's episodes in this process.
+    """A runner that runs the episodes of a plan in this process.
 
-    It makes each avoider of a user's file only once. If such an avoider remembers earlier runs, its episodes
-    depend on each other and on the process that runs them.
+    The runner makes each avoider of a user's file only once. If such an avoider remembers earlier runs, its
+    episodes depend on each other and on the process in which they run.
 
-    If ``programs`` is False, it executes no Python file: a draw that names a program raises CampaignError.
+    If ``programs`` is False, the runner executes no Python file, and raises CampaignError for a draw that
+    refers to such a file.
     """
 
     plan: Plan
@@ -110,10 +111,12 @@ class EpisodeRunner:
     _noted: int = 0  # bytes read so far of the journal of opened files
 
     def run(self, stratum: int, episodes: Sequence[int], *, keep_violations: bool = True) -> Iterator[Row]:
-        """Yield a row for each of ``episodes``, in order; InputError if the plan's text causes an error.
+        """Yield a row for each of ``episodes``, in their order.
 
-        ``keep_violations`` states whether a row with a violation carries its trace.
+        Raise InputError if the plan's text causes an error. If ``keep_violations`` is true, the row of a
+        violating episode includes its trace.
         """
+        # A world with batches runs all episodes together; otherwise each row is yielded before the next run.
         for group in [episodes] if self.plan.world.batch else [[episode] for episode in episodes]:
             begun_s = time.perf_counter()
             space, seeds = self.plan.strata[stratum].space, [root_seed(self.plan, stratum, k) for k in group]
@@ -133,9 +136,10 @@ class EpisodeRunner:
     def scenario(
         self, stratum: int, episode: int, draw: int, values: NDArray[np.float64] | None = None
     ) -> Scenario:
-        """Return draw number ``draw`` of an episode, with the plan's claims and avoider.
+        """Return the scenario of an episode that results from draw number ``draw``.
 
-        ``values`` (d,) are the values that ``space.draw`` takes.
+        The scenario has the claims and the avoider of the plan. ``values`` of shape (d,) is passed to
+        ``space.draw``.
         """
         space = self.plan.strata[stratum].space
         scenario = space.draw(root_seed(self.plan, stratum, episode), draw, values)
@@ -144,9 +148,10 @@ class EpisodeRunner:
         return self.plan.with_avoider(scenario)
 
     def draw(self, stratum: int, episode: int, first: NDArray[np.float64] | None = None) -> Drawn | Row:
-        """Return the first draw that admission accepts; a failed row after ``MAX_REJECTION_RATIO`` refusals.
+        """Return the first draw that admission accepts.
 
-        ``first`` (d,) has the values of draw 0, if the caller already has them.
+        After ``MAX_REJECTION_RATIO`` refused draws, return a failed row instead. ``first`` of shape (d,) has
+        the values of draw 0, or is None if the caller has not computed these values.
         """
         refused: Counter[str] = Counter()
         for k in range(MAX_REJECTION_RATIO):
@@ -166,11 +171,11 @@ class EpisodeRunner:
         return self._guarded(stratum, drawn.episode, work)
 
     def _guarded(self, stratum: int, episode: int, work: Callable[[], _Done]) -> _Done | Row:
-        """Return the result of ``work``, after at most two attempts; a failed row if both raise an error.
+        """Return the result of ``work``, which is tried at most twice.
 
-        More attempts would be useless, because every worker would meet such an error. Three errors pass on:
-        InputError (caused by the plan), MemoryError (by this process) and CampaignError (by a program that
-        must not run).
+        If both attempts raise an error, return a failed row. More attempts would not help, because every
+        worker would meet the same error. Three kinds of error are raised again at once: InputError (the plan
+        is wrong), MemoryError (this process has no memory left) and CampaignError (a program must not run).
         """
         for _ in range(2):
             try:
@@ -224,7 +229,10 @@ class EpisodeRunner:
 
 
 def _added(run: Trace) -> Iterator[tuple[str, float]]:
-    """Yield each column of a package, and its number for ``run``; NaN and a warning if the package raises."""
+    """Yield the name of each column that a package adds, and the column's value for ``run``.
+
+    If the package raises an error, warn and yield NaN.
+    """
     for part in added_columns():
         measure = load(part, FunctionType)
         try:
@@ -235,7 +243,7 @@ def _added(run: Trace) -> Iterator[tuple[str, float]]:
 
 
 def _decided(run: Trace) -> dict[str, Any]:
-    """Return the number of decisions of each kind; empty if the run has no decision, like most runs."""
+    """Return the number of decisions of each kind, or an empty dict if the run has no decision."""
     if len(run.decisions) == 0:
         return {}
     outcome, failed = run.decisions["outcome"], run.decisions["proposed_failed"]
@@ -250,10 +258,10 @@ def _decided(run: Trace) -> dict[str, Any]:
 
 
 def number_of(run: Trace) -> int:
-    """Return a 63-bit hash that identifies ``run``; 0 for a run without ticks.
+    """Return a 63-bit hash that identifies ``run``, or 0 for a run without ticks.
 
     The hash covers the actions of arm, hands and avoider, but not the seed. Thus two draws that lead to the
-    same actions count as one run. To save time, the hash covers sensors only at every 16th tick.
+    same actions give the same hash. To save time, the hash covers sensors only at every 16th tick.
     """
     if len(run.ticks) == 0:
         return 0
@@ -263,16 +271,17 @@ def number_of(run: Trace) -> int:
     for records, names in ((run.ticks[::_SOMETIMES], _SOMETIMES_SEEN), (run.decisions, _DECIDED)):
         for name in names:
             digest.update(records[name].tobytes())
+    # Without the highest bit, because SQLite's integers have a sign; 0 means a run without ticks.
     return max(int.from_bytes(digest.digest(), "big") >> 1, 1)
 
 
-_AT_EVERY_TICK, _SOMETIMES = ("joint_position_rad", "hand_distance_m"), 16
+_AT_EVERY_TICK, _SOMETIMES = ("joint_position_rad", "hand_distance_m"), 16  # see ``number_of``
 _SOMETIMES_SEEN = ("hand_position_in_base_m", "predicted_hand_in_base_m", "features")
 _DECIDED = ("tick", "outcome", "proposed_position_in_base_m", "proposed_spread_m")
 
 
 def why_broken(trace: Trace) -> str:
-    """Return the reason why ``trace`` does not record a whole run; empty if it does."""
+    """Return the reason why ``trace`` does not record a complete run, or "" if it records a complete run."""
     if not trace.complete:
         return f"the run was cut short: {trace.ended}"
     odd = first_inconsistency(trace)
@@ -284,10 +293,10 @@ def why_broken(trace: Trace) -> str:
 
 
 def judgement_of(evaluation: Evaluation, trace: Trace, broken: str) -> ClaimJudgement:
-    """Return the judgement of one claim on one run, as the estimates count it.
+    """Return the judgement of one claim on one run, in the form that the estimates need.
 
-    The outcome is UNTESTED only if a whole run did not exercise the claim, or did not measure one of its
-    inputs. Upper bounds count a broken run as a violation, even if its verdict is another.
+    The outcome is UNTESTED in two cases: a complete run did not exercise the claim, or did not measure all
+    inputs of the claim. The upper bounds treat a broken run as a violation, even if its verdict differs.
     """
     if evaluation.verdict is Verdict.VIOLATED:
         outcome = EpisodeOutcome.VIOLATED
@@ -319,10 +328,11 @@ def trace_bytes(trace: Trace) -> bytes:
 
 
 def trace_of(plan: Plan, stratum: int, data: bytes) -> Trace:
-    """Return the stored trace in ``data`` with the files of the plan's space; TraceError unless simulated.
+    """Return the trace stored in ``data``.
 
-    The system under test comes from the plan, because a stored reference may have lost its folder
-    (``portable``).
+    The scenario of the returned trace refers to the files of the plan's space. Raise TraceError unless the
+    trace comes from a simulation. The system under test comes from the plan, because a stored reference may
+    lack its folder (see ``portable``).
     """
     with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
         file = Path(folder) / "stored.trace"
@@ -334,6 +344,9 @@ def trace_of(plan: Plan, stratum: int, data: bytes) -> Trace:
 
 
 def _where(error: Exception) -> str:
-    """Return the file and line that raised ``error``, because no ledger stores the traceback."""
+    """Return the file and the line where ``error`` was raised.
+
+    The row needs this text, because a ledger stores no traceback.
+    """
     frames = traceback.extract_tb(error.__traceback__)
     return f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""

@@ -47,10 +47,10 @@ SUFFIXES = (".csv", ".parquet")
 
 
 def export(ledger: Ledger, out: Path) -> int:
-    """Write the ledger's results as a CSV or Parquet table, by the suffix of ``out``; return the line count.
+    """Write the ledger's results as a CSV or Parquet table, and return the number of lines.
 
-    Parquet needs pyarrow, the extra "export". OutputError if ``out`` cannot be written, InputError for
-    another suffix.
+    The suffix of ``out`` selects the format. Parquet needs pyarrow, which the extra "export" installs. Raise
+    OutputError if ``out`` cannot be written, and InputError if its suffix is unknown.
     """
     if out.suffix not in SUFFIXES:
         raise ScenarioError.of_file(out, f"a file that ends in {' or '.join(SUFFIXES)}", out.name)
@@ -73,7 +73,7 @@ def export_traces(ledger: Ledger, folder: Path) -> list[Path]:
 
 
 def _columns(ledger: Ledger) -> tuple[tuple[str, str, str], ...]:
-    """Return the name, SQL expression and type of each column, the columns of packages included."""
+    """Return the name, SQL expression and type of each column, including the columns that packages add."""
     added = ((name, _ADDED.format(name), "float64") for name in added_in(ledger.connection))
     return (*_COLUMNS, *added)
 
@@ -115,10 +115,10 @@ _READING = {sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION,
 def question_of(
     ledger: Ledger, claim: str | None, stratum: str | None, outcome: str | None, below: str | None
 ) -> tuple[str, tuple[object, ...]]:
-    """Return an SQL query of the view ``results``, worst margins first, and the values of its placeholders.
+    """Return an SQL query of the view ``results``, and the values for its placeholders.
 
-    ``claim`` and ``stratum`` are full names, or words that occur in only one name. ``below`` is a margin with
-    its unit.
+    The query returns the worst margins first. ``claim`` and ``stratum`` are full names, or words that occur
+    in exactly one name. ``below`` is the text of a margin with its unit.
     """
     declared = ledger.declared
     outcomes = tuple(code.name.lower() for code in EpisodeOutcome)
@@ -140,11 +140,12 @@ def question_of(
         filters.append(("margin < ?", parse_quantity(below, dimension, Place(field="--below"))))
     where = " AND ".join(text for text, _ in filters) or "1"
     values = tuple(value for _, value in filters)
+    # SQLite sorts NULL first; rows without a margin come last here.
     return f"SELECT * FROM results WHERE {where} ORDER BY margin IS NULL, margin, stratum, episode", values
 
 
 def refuse_writing(connection: sqlite3.Connection) -> None:
-    """Restrict ``connection`` to reading: it refuses changes, attached files and settings."""
+    """Make ``connection`` read-only: it then refuses changes, attached files and settings."""
     connection.set_authorizer(
         lambda action, *_: sqlite3.SQLITE_OK if action in _READING else sqlite3.SQLITE_DENY
     )

@@ -1,6 +1,7 @@
-"""The hazards of a plan: task, zone, event, severity, frequency, the persons who decided, and the reasons.
+"""The hazards of a plan, each with its task, zone, event, severity and frequency.
 
-docs/reference/plan.md describes these keys.
+Each hazard also states who decided about it, and for which reasons. docs/reference/plan.md describes the keys
+of a hazard.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from safety_harness.scenario.files import resolved
 from safety_harness.scenario.typed_json import read_json
 from safety_harness.scenario.units import FRACTION, NUMBER
 
-MOST_HAZARDS = 64
+MOST_HAZARDS = 64  # a choice, as for strata and claims
 LOW, NOT_LOW = "low", "not low"
 
 
@@ -56,7 +57,10 @@ _SOURCE = _line("the source of the number")
 
 @declared
 class CountedApproaches:
-    """A number of approaches that were counted in some hours; the approaches are a Poisson process."""
+    """A rate of approaches, given as a number of approaches and the hours in which they were counted.
+
+    The approaches are assumed to be a Poisson process.
+    """
 
     count: int = key(
         "counted",
@@ -69,12 +73,15 @@ class CountedApproaches:
     file: Path | None = None
 
     def most_an_hour(self, chance: float) -> float:
-        """Return an upper bound that the true hourly rate exceeds with at most this ``chance``."""
+        """Return an upper bound of the hourly rate.
+
+        The true rate exceeds this bound with a probability of at most ``chance``.
+        """
         return most_an_hour(self.count, self.hours, chance)
 
     @property
     def summary(self) -> str:
-        """The count, the hours and the source, in words."""
+        """A text with the count, the hours and the source."""
         return f"{self.count} approaches in {self.hours:.4g} h ({self.source})"
 
 
@@ -92,12 +99,15 @@ class StatedApproaches:
     source: str = key("source", _SOURCE, "the author of the bound, and the grounds", "the line's cycle time")
 
     def most_an_hour(self, chance: float) -> float:
-        """Return the stated bound; ``read_hazards`` has checked its confidence against ``chance``."""
+        """Return the stated bound.
+
+        ``read_hazards`` has already compared the confidence of the bound with ``chance``.
+        """
         return self.at_most
 
     @property
     def summary(self) -> str:
-        """The bound, its confidence and the source, in words."""
+        """A text with the bound, its confidence and the source."""
         return f"at most {self.at_most:g} an hour with {100.0 * self.confidence:.10g} % ({self.source})"
 
 
@@ -105,7 +115,10 @@ Approaches = CountedApproaches | StatedApproaches
 
 
 def _fitted(field: Field) -> CountedApproaches:
-    """Return the count and hours of recorded approaches, from the output of ``hands fit --json``."""
+    """Return the number of recorded approaches and the hours of recording.
+
+    Both numbers come from the output of ``hands fit --json``.
+    """
     name = field.sentence("the JSON output of hands fit --json")
     file = resolved((field.file.parent if field.file else Path()) / name)
     if not file.is_file():
@@ -141,7 +154,10 @@ class _ApproachesValue(Below):
     """A mapping that gives the rate of approaches in one of three ways: fitted, counted or stated."""
 
     def read(self, field: Field) -> Approaches:
-        """Return counted or stated approaches; fitted approaches become counted approaches."""
+        """Return counted or stated approaches.
+
+        Fitted approaches are converted to counted approaches.
+        """
         approaches: Approaches | _FittedApproaches = super().read(field)
         return approaches.approaches if isinstance(approaches, _FittedApproaches) else approaches
 
@@ -205,7 +221,10 @@ class Hazard:
     )
 
     def derived(self, graph: RiskGraph) -> DerivedRate:
-        """Return the level and the rate that ``graph`` requires for this hazard, with each step in words."""
+        """Return the level and the rate that ``graph`` requires for this hazard.
+
+        The result also has a text for each step through the graph.
+        """
         low = self.probability == LOW
         return derived(graph, self.severity, self.exposure, self.avoidance, unlikely=low)
 
@@ -215,7 +234,10 @@ HAZARD = table_of(Hazard, "a hazard", where="a hazard of a plan")
 
 @dataclass(frozen=True)
 class PlannedHazards:
-    """All hazards of a plan, the risk graph for their rates, and how the bounds share the plan's error."""
+    """All hazards of a plan, and the risk graph for their rates.
+
+    ``error`` states how the plan's error is divided among the bounds.
+    """
 
     hazards: tuple[Hazard, ...]
     graph: RiskGraph
@@ -228,7 +250,10 @@ class PlannedHazards:
         return tuple(item.file for item in rates if isinstance(item, CountedApproaches) and item.file)
 
     def named(self, field: Field) -> tuple[str, ...]:
-        """Return the hazard names that a claim lists; ScenarioError for an unknown or repeated hazard."""
+        """Return the names of the hazards that a claim lists.
+
+        Raise ScenarioError if a name is unknown or listed twice.
+        """
         names = [hazard.name for hazard in self.hazards]
         listed: list[str] = []
         for item in field.items("a list of the plan's hazards", least=1):
@@ -242,11 +267,12 @@ class PlannedHazards:
         return tuple(listed)
 
     def target(self, names: tuple[str, ...], field: Field) -> float:
-        """Return the largest violation probability per run at which every hazard in ``names`` keeps its rate.
+        """Return the largest violation probability per run that keeps each hazard within its allowed rate.
 
-        For one hazard, this is its allowed rate divided by the upper bound of its approaches an hour. The
-        function returns the least of these quotients, and at most 0.5. ScenarioError, at ``field``, if a
-        hazard lacks its assessment or its approaches.
+        The function considers the hazards in ``names``. For one hazard, this probability is the allowed rate
+        divided by the upper bound of the approaches in an hour. For several hazards, the function returns the
+        smallest of their probabilities. The result is at most 0.5. Raise ScenarioError if a hazard has no
+        assessment or no rate of approaches. The error states the place ``field``.
         """
         shares = []
         for hazard in self.hazards:
@@ -269,7 +295,10 @@ class PlannedHazards:
 
 
 def read_hazards(given: Fields, confidence: float) -> PlannedHazards:
-    """Read the keys ``hazards`` and ``risk graph`` of a plan; ScenarioError names the place of an error."""
+    """Read the keys ``hazards`` and ``risk graph`` of a plan.
+
+    Raise ScenarioError if a value is wrong. The error states the place of the value in the file.
+    """
     listed, graph = given.optional("hazards"), given.optional("risk graph")
     items = listed.items("a list of hazards", least=1, most=MOST_HAZARDS) if listed else ()
     hazards: list[Hazard] = []

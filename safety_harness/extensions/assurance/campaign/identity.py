@@ -1,7 +1,7 @@
-"""The identity of a plan: its files, and all parts that its results depend on, by name and hash or version.
+"""The identity of a plan, which lists its files and everything else that its results depend on.
 
-A comparison of two identities names what changed. The files suffice to read the plan on another machine, or
-after the user has changed the original files.
+Each entry has a name, and a hash or a version. A comparison of two identities lists the changed entries. The
+files in an identity suffice to read the plan on another machine, or after the user has changed the originals.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ UNKNOWN_SIMULATOR = "of unknown content"  # a program that listens
 
 @dataclass(frozen=True)
 class Identity:
-    """All parts that the results depend on (files, networks, libraries), each with its hash or version."""
+    """Everything on which the results depend (files, networks, libraries), with hashes or versions."""
 
     parts: tuple[tuple[str, str], ...]
 
@@ -57,7 +57,10 @@ class Identity:
 
     @classmethod
     def from_json(cls, text: str) -> Identity:
-        """Return the identity in a stored text; ValueError or TypeError if it is wrong or repeats a part."""
+        """Return the identity in a stored text.
+
+        Raise ValueError or TypeError if the text is wrong or repeats an entry.
+        """
         parts = tuple((str(name), str(value)) for name, value in json.loads(text))
         if len(dict(parts)) < len(parts):
             raise ValueError("a part occurs twice")
@@ -69,18 +72,22 @@ class Identity:
         return sorted({text for name, text in self.parts if name.startswith(SYSTEM)})
 
     def changes(self, now: Identity) -> list[str]:
-        """Return the changes from this identity to ``now``, in words; empty if they are equal.
+        """Return a line for each change from this identity to ``now``, or an empty list if the two are equal.
 
-        A changed system under test is listed only if no other part (a file, network or version) changed.
+        A changed system under test is listed only if no file, network or version has changed.
         """
         old, new = dict(self.parts), dict(now.parts)
         lines = [f"{name} changed" for name in old if name in new and old[name] != new[name]]
         lines += [f"{name} is gone" for name in old if name not in new]
         lines += [f"{name} is new" for name in new if name not in old]
+        # A changed file or version usually changes the system too, and explains it better.
         return [line for line in lines if not line.startswith(SYSTEM)] or lines
 
     def refuse_other(self, now: Identity, file: Path, *, where: str = "", hint: str = "") -> None:
-        """Raise LedgerError unless ``now`` equals this identity; the error for ``file`` lists the changes."""
+        """Raise LedgerError unless ``now`` equals this identity.
+
+        The error for ``file`` lists the changes.
+        """
         if changes := self.changes(now):
             expected = f"the plan, files and versions of its first run{where}"
             raise LedgerError(place=Place(file=file), expected=expected, got="; ".join(changes), hint=hint)
@@ -96,8 +103,8 @@ def identity_of(
 ) -> Identity:
     """Return the identity of a plan: its files, shipped networks, this package and its libraries.
 
-    ``systems`` gives the system under test of each stratum by the stratum's name. ``edition`` is the edition
-    of the catalogue that gives the claims their meaning.
+    ``systems`` has pairs of a stratum's name and its system under test. ``edition`` is the edition of the
+    catalogue that gives the claims their meaning.
     """
     parts = {f"the file {file.name}": file.sha256 for file in files}
     named = {avoider or ""} | {text for space in spaces for text in references_in(space.tree)}
@@ -117,13 +124,16 @@ def identity_of(
 
 
 def edition_of(identity: Identity) -> int:
-    """Return the edition of the catalogue for a ledger's claims; 1 if the ledger states no edition."""
+    """Return the edition of the catalogue of claims for a ledger, or 1 if the ledger states no edition."""
     edition = dict(identity.parts).get(CLAIMS, "edition 1").removeprefix("edition ")
     return int(edition) if edition in map(str, range(1, EDITION)) else EDITION
 
 
 def _libraries(spaces: Sequence[ScenarioSpace], world: str) -> tuple[str, ...]:
-    """Return the distinct libraries that the runs use; a missing engine appears as not loaded."""
+    """Return the distinct libraries that the runs use.
+
+    If an engine is missing, the entry of the engine states that it is not loaded.
+    """
     entry = world_labelled(world)
     assert entry is not None
     used = (libraries_of(entry.name, space.simplest) for space in spaces)
@@ -131,7 +141,10 @@ def _libraries(spaces: Sequence[ScenarioSpace], world: str) -> tuple[str, ...]:
 
 
 def _simulator(world: str) -> dict[str, str]:
-    """Return the hash of the user's simulator as a part of an identity; nothing for a world of ours."""
+    """Return the hash of the user's simulator as an entry of an identity.
+
+    The result is empty if the world is not a user's simulator.
+    """
     entry = world_labelled(world)
     if entry is None or not entry.program:
         return {}
@@ -146,7 +159,7 @@ MOST_BYTES = 200_000_000  # of all files together
 
 @dataclass(frozen=True)
 class PlanFile:
-    """One file of a plan: its bytes, and its name relative to the common folder of all files."""
+    """The bytes of one file of a plan, and its name relative to the common folder of all files."""
 
     name: str
     data: bytes = field(repr=False)
@@ -164,10 +177,11 @@ def files_of_plan(
     avoider: str | None,
     further: Sequence[Path] = (),
 ) -> tuple[PlanFile, ...]:
-    """Return the plan's own file, then spaces, the files that they extend, recordings, avoiders and models.
+    """Return all files of a plan, beginning with the plan's own file.
 
-    ``further`` are more files from which the plan was read. The result lacks the files that a user's avoider
-    imports or opens. ScenarioError if all files together exceed MOST_BYTES.
+    The other files are the spaces, the files that they extend, recordings, avoiders and robot models.
+    ``further`` lists additional files from which the plan was read. Files that a user's avoider imports or
+    opens are not in the result. Raise ScenarioError if the files together are larger than MOST_BYTES.
     """
     named = [plan.resolve(), *library.files, *further]
     for space in spaces:
@@ -192,10 +206,10 @@ _ABSOLUTE = re.compile(rb"""(?<=["'])[~/][^"'\n]*(?=["'])|(?<=[\s\[{,])[~/][^\s"
 
 
 def _packed(data: bytes, path: Path, names: dict[Path, str]) -> bytes:
-    """Return the content of a file in which absolute references to other packed files become relative.
+    """Return a file's content in which absolute paths of other packed files are replaced by relative paths.
 
-    Thus a copy of the plan in a report refers to the copies of files in the same report, wherever the report
-    is.
+    Thus a copy of the plan in a report refers to the copied files in the same report, even if the report is
+    moved.
     """
     if path.suffix not in (".yaml", ".yml", ".urdf"):
         return data
@@ -222,18 +236,21 @@ def _files_of(robot: AnyRobot) -> Iterator[Path]:
 
 
 def _is_packaged(robot: OwnRobot) -> bool:
-    """Return whether the arm's URDF lies in an installed package, from which its meshes come too."""
+    """Return True if the arm's URDF is in an installed package.
+
+    If so, the meshes come from the same package.
+    """
     with suppress(ScenarioError):
         return robot.package is not None and urdf_of_package(robot.package, Place()) == robot.files[0]
     return False
 
 
 def _names(paths: Sequence[Path]) -> dict[Path, str]:
-    """Return each file's name relative to the common folder; shipped files may be below a folder ``shipped``.
+    """Return each file's name relative to the common folder.
 
-    In that folder, a copy of the plan finds the files that it names as "shipped:" on any machine. The
-    function uses the folder in an installation, and in a checkout if a user's file contains "shipped:". It
-    never uses the folder for a plan that itself ships with the package.
+    Shipped files may be below a folder ``shipped``. A copy of the plan finds its "shipped:" files in that
+    folder on any machine. The function uses the folder if the package is installed, or if a user's file
+    contains "shipped:". The function never uses the folder for a plan that itself ships with the package.
     """
     ours = {path for path in paths if contents() in path.parents}
     own = [path for path in paths if path not in ours]
@@ -253,9 +270,9 @@ def _says_shipped(path: Path) -> bool:
 
 
 def unpacked(files: Sequence[PlanFile], folder: Path) -> Path:
-    """Write ``files`` below ``folder`` and return the path of the first file, which is the plan's own.
+    """Write ``files`` below ``folder`` and return the path of the plan's own file, which comes first.
 
-    ScenarioError for a name that leads out of the folder.
+    Raise ScenarioError if the name of a file leads out of ``folder``.
     """
     for file in files:
         path = (folder / file.name).resolve()

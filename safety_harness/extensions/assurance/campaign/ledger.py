@@ -1,7 +1,8 @@
 """The ledger of a campaign: one SQLite file with one row for each planned episode that ran.
 
-When ``record`` returns, its rows are committed to the disk, and no later event loses them. An interruption
-before that leaves no part of a batch. Other programs may read while one process writes.
+When ``record`` returns, the rows of the batch are on the disk, and no later event can lose these rows. An
+interruption before that moment leaves no part of the batch in the ledger. Other programs may read while one
+process writes.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX, portab
 from safety_harness.seams.isolation.opened import sha256_of
 from safety_harness.trace.answer_times import AnswersTook
 
-_NUMBERS = 10 + len(COUNTS)
+_NUMBERS = 10 + len(COUNTS)  # columns before the cell: four numbers, six counts of decisions, and COUNTS
 _EPISODE = f"INSERT INTO episode VALUES ({'?, ' * _NUMBERS}(SELECT id FROM cell WHERE words = ?){', ?' * 4})"
 _SAMPLE = (
     "SELECT j.episode, j.outcome, e.seed, j.exercised, j.margin FROM judgement j JOIN episode e "
@@ -71,7 +72,10 @@ _JUDGEMENT = f"INSERT INTO judgement VALUES ({', '.join('?' * 7)})"
 
 @dataclass(frozen=True)
 class Declared:
-    """The plan as a ledger stores it; ``planned`` has the number of episodes of each stratum."""
+    """The plan as a ledger stores it.
+
+    ``planned`` has the number of episodes of each stratum.
+    """
 
     title: str
     plan_file: Path
@@ -94,7 +98,7 @@ WRISTS = (
 
 
 def _is_recording(file: PlanFile) -> bool:
-    """Return whether ``file`` is a table of tracked points, whatever its name."""
+    """Return True if the content of ``file`` is a table of tracked points, whatever its file name."""
     try:
         return bool(parse_recording(file.data, Path(file.name)).tracks)
     except RecordingError:
@@ -113,9 +117,10 @@ def _how(result: RepeatabilityResult) -> int:
 
 
 class Ledger:
-    """The ledger of a plan, made by ``create`` or ``open``. Close it, or use it in a ``with`` statement.
+    """The ledger of a plan, made by ``create`` or ``open``.
 
-    A stratum or claim has the number of its position in ``declared``, which keeps the plan's order.
+    Close the ledger after use, or use it in a ``with`` statement. Strata and claims are numbered by their
+    position in ``declared``, which keeps the plan's order.
     """
 
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
@@ -128,11 +133,13 @@ class Ledger:
 
     @classmethod
     def create(cls, path: Path, plan: Plan) -> Ledger:
-        """Create a ledger of ``plan`` without episodes, and return it; a failure leaves no file.
+        """Create and return a ledger of ``plan`` that has no episodes yet.
+
+        If the creation fails, no file remains.
 
         Args:
             path: The path of the new file, which must not exist.
-            plan: The plan. The ledger copies all its files.
+            plan: The plan. The ledger stores copies of all files of the plan.
 
         Raises:
             LedgerError: The file exists already.
@@ -160,11 +167,11 @@ class Ledger:
             path: The file.
             write: Whether to open the file for writing.
             check: Whether SQLite checks all pages of a file of at most 2 GiB.
-            alone: Whether to ignore any file beside it, such as a write-ahead log, and to refuse foreign
-                tables.
+            alone: Whether to ignore the files beside the ledger, such as a write-ahead log, and to refuse
+                foreign tables.
 
         Raises:
-            LedgerError: The file is damaged, locked, of another version or no ledger.
+            LedgerError: The file is damaged, is locked, has another version or is not a ledger.
 
         """
         connection = connect(path, write=write, check=check, alone=alone)
@@ -183,7 +190,10 @@ class Ledger:
         self.close()
 
     def close(self) -> None:
-        """Close the file, and remove an empty log beside it unless the ledger was opened with ``alone``."""
+        """Close the file.
+
+        The method also removes an empty log beside the file, unless the ledger was opened with ``alone``.
+        """
         self.connection.close()
         if self.tidies:
             remove_empty_log(self.path)
@@ -200,19 +210,20 @@ class Ledger:
             hint: The advice in the error.
 
         Raises:
-            LedgerError: The plan has changed; the error lists the changes.
+            LedgerError: The plan has changed. The error lists the changes.
 
         """
         self.declared.identity.refuse_other(identity, self.path, hint=hint)
 
     def refuse_other_plan(self, plan: Plan) -> None:
-        """Raise LedgerError if ``plan``, or a file that a user's module opened during a run, has changed.
+        """Raise LedgerError if ``plan`` or a file that a user's module opened has changed since the runs.
 
         Args:
             plan: The present plan.
 
         Raises:
-            LedgerError: Something has changed; the error lists the changes.
+            LedgerError: The plan, or a file that a user's module opened, has changed. The error lists the
+                changes.
 
         """
         self.refuse_other(plan.identity)
@@ -224,15 +235,16 @@ class Ledger:
 
     @property
     def opened(self) -> dict[str, str]:
-        """The files that users' modules opened: their paths from the plan's folder, and their SHA-256.
+        """A mapping from the path of each file that a user's module opened to the SHA-256 of the file.
 
-        The hash is empty for a file that the module itself writes.
+        The paths are relative to the plan's folder. The SHA-256 is empty if the module itself writes the
+        file.
         """
         present = self._has("opened")
         return dict(self.all("SELECT name, sha256 FROM opened ORDER BY name")) if present else {}
 
     def times(self, stratum: int) -> AnswersTook:
-        """Return the answer times of a stratum; they are empty in a ledger of an older program.
+        """Return the answer times of a stratum, which are empty if an older program wrote the ledger.
 
         Args:
             stratum: The number of the stratum.
@@ -243,7 +255,7 @@ class Ledger:
 
     @property
     def slow(self) -> list[str]:
-        """Sentences on the strata in which answers took longer than the runs allow."""
+        """A sentence for each stratum in which answers took longer than the runs allow."""
         named = ((name, self.times(k).summary) for k, name in enumerate(self.declared.strata))
         return [f"{name}: {text}" for name, text in named if text]
 
@@ -251,10 +263,11 @@ class Ledger:
         """Record the files that users' modules opened during runs.
 
         Args:
-            files: For each file, its path from the plan's folder and the SHA-256 of its bytes.
+            files: For each file, its path relative to the plan's folder, and the SHA-256 of its content.
 
         Raises:
-            LedgerError: Earlier runs read other bytes of a file, or a file is newer than these runs.
+            LedgerError: The content of a file differs from the content that earlier runs read, or the file is
+                newer than those runs.
 
         """
         for name, sha256 in sorted(files, key=itemgetter(1)):  # first the files that the module itself writes
@@ -272,30 +285,40 @@ class Ledger:
         (ends,) = self.all("SELECT min(began), max(began) FROM session WHERE EXISTS (SELECT 1 FROM episode)")
         begun_s, now_s = (datetime.fromisoformat(began or "1970-01-02").timestamp() for began in ends)
         file = self.declared.plan_file.parent / name
+        # The time of change, because a program can set the time of modification back.
         return file.is_file() and begun_s < file.stat().st_ctime < now_s
 
     @property
     def files(self) -> tuple[PlanFile, ...]:
-        """The plan's files as they were when the ledger began; the plan's own file comes first."""
+        """The plan's files with the content that they had when the ledger began.
+
+        The plan's own file comes first.
+        """
         return tuple(
             PlanFile(name, data) for name, data in self.all("SELECT name, data FROM file ORDER BY place")
         )
 
     @property
     def wrists(self) -> tuple[str, ...]:
-        """A remark on the meaning of recorded hands; empty if no file of the plan is a recording."""
+        """A remark on the meaning of recorded hands.
+
+        The tuple is empty if no file of the plan is a recording.
+        """
         return (WRISTS,) if any(map(_is_recording, self.files)) else ()
 
     @cached_property
     def counts(self) -> tuple[str, ...]:
-        """The names of ``COUNTS`` that this ledger stores; a reader sees 0 for each missing count."""
+        """The names in ``COUNTS`` for which this ledger has a column.
+
+        A reader sees 0 for each missing count.
+        """
         return counts_in(self.connection)
 
     @cached_property
     def draws_sha256(self) -> str:
         """The SHA-256 of the files that determine the scenarios.
 
-        It does not cover the plan's own file, programs and networks.
+        The hash does not cover the plan's own file, programs and networks.
         """
         drawing = [
             file.sha256
@@ -311,7 +334,7 @@ class Ledger:
             rows: The rows.
 
         Raises:
-            LedgerError: The ledger already has one of these episodes, or it cannot be written.
+            LedgerError: The ledger already has one of these episodes, or the ledger cannot be written.
             OutputError: The disk is full.
 
         """
@@ -344,8 +367,12 @@ class Ledger:
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
-        """Commit all statements in a ``with`` block together; roll back if the block raises an exception."""
+        """Commit all statements in a ``with`` block together.
+
+        If the block raises an exception, roll back all statements.
+        """
         with explained(self.path):
+            # Take the write lock at the beginning, so that no second writer can begin in between.
             self.connection.execute("BEGIN IMMEDIATE")
             try:
                 yield
@@ -356,12 +383,14 @@ class Ledger:
                 raise
 
     def begin_session(self, began: str, workers: str, machine: str) -> None:
-        """Record when, where and with how many workers a session runs episodes; these texts are for people.
+        """Record when and where a session runs episodes, and with how many workers.
+
+        These texts are only for human readers.
 
         Args:
-            began: The time of the beginning, ISO 8601 in UTC.
+            began: The start time, ISO 8601 in UTC.
             workers: The number of workers.
-            machine: The machine, in words.
+            machine: A text that describes the machine.
 
         """
         with self.transaction():
@@ -369,10 +398,13 @@ class Ledger:
             self.connection.execute(insert, (began, workers, machine))
 
     def note_repeated(self, result: RepeatabilityResult) -> None:
-        """Record how a second avoider answered a session's questions, or how a fresh controller's runs went.
+        """Record the result of a repeatability check of this session.
+
+        In this check, a second avoider answered the queries of the session again, or a new controller
+        repeated the runs of the session.
 
         Args:
-            result: The counts, and the worst difference in words.
+            result: The counts, and a text that describes the largest difference.
 
         """
         with self.transaction():
@@ -383,12 +415,15 @@ class Ledger:
 
     @property
     def asks_again(self) -> bool:
-        """Whether the ledger has a table of repeated questions, which older programs did not write."""
+        """Whether the ledger has a table of repeated queries, which older programs did not write."""
         return self._has("repeated")
 
     @property
     def repeated(self) -> RepeatabilityResult:
-        """The result of repeating questions in all sessions, with the first difference in words."""
+        """The combined result of the repeatability checks in all sessions.
+
+        If there is a difference, the result has a text on the first difference.
+        """
         if not self.asks_again:
             return RepeatabilityResult(questions=0)
         order = "ORDER BY differing = 0, words = '', id"
@@ -415,7 +450,7 @@ class Ledger:
 
     @property
     def dependent(self) -> str:
-        """The reason why even a complete ledger gives no bound; empty if there is no reason."""
+        """The reason why even a complete ledger gives no bound, or an empty string if it gives bounds."""
         difference = self.repeated.remembers
         if not difference:
             return self._copies
@@ -426,7 +461,10 @@ class Ledger:
 
     @property
     def _copies(self) -> str:
-        """A sentence on runs that only repeat other runs, which are no evidence; empty if no run does so."""
+        """A sentence which states that some runs only repeat other runs and add no evidence.
+
+        The sentence is empty if all runs are distinct.
+        """
         now = self.connection.total_changes, next(self.all("PRAGMA data_version"))
         if self._looked_at != now:  # the query takes a second for a million runs
             rows = ((self.declared.strata[k], *counts) for k, *counts in self.all(_DISTINCT))
@@ -436,7 +474,9 @@ class Ledger:
         return self._found
 
     def missing(self, stratum: int) -> Iterator[range]:
-        """Yield the missing episodes as ascending ranges, up to the planned number or an early stop.
+        """Yield ascending ranges of the missing episodes.
+
+        The ranges end at the planned number of episodes, or where the stratum stopped early.
 
         Args:
             stratum: The number of the stratum.
@@ -489,7 +529,7 @@ class Ledger:
             self.connection.execute("UPDATE stratum SET stopped_after = ? WHERE id = ?", (episodes, stratum))
 
     def stopped_after(self, stratum: int) -> int | None:
-        """Return the number of episodes after which a stratum stopped; None if it did not stop.
+        """Return the number of episodes after which a stratum stopped, or None if it did not stop.
 
         Args:
             stratum: The number of the stratum.
@@ -499,12 +539,12 @@ class Ledger:
         return None if episodes is None else int(episodes)
 
     def traces(self) -> list[tuple[int, int, bool]]:
-        """Return (stratum, episode, whether the episode violates a claim) for each stored trace."""
+        """Return a triple (stratum, episode, whether the episode violates a claim) for each stored trace."""
         rows = self.all("SELECT stratum, episode, violation FROM trace ORDER BY stratum, episode")
         return [(stratum, episode, bool(violation)) for stratum, episode, violation in rows]
 
     def trace(self, stratum: int, episode: int) -> bytes | None:
-        """Return a stored trace as the bytes of a .trace file; None if the episode has no stored trace.
+        """Return a stored trace as the bytes of a .trace file, or None if the episode has no stored trace.
 
         Args:
             stratum: The number of the stratum.
@@ -515,14 +555,15 @@ class Ledger:
         return next((data for (data,) in self.all(question, stratum, episode)), None)
 
     def outcomes(self, stratum: int, claim: int) -> tuple[Ints, Ints, Floats]:
-        """Return episodes, outcomes and margins (n,) of a claim in a stratum, ascending by episode.
+        """Return the episodes, outcomes and margins of a claim in a stratum, in the order of the episodes.
 
         Args:
             stratum: The number of the stratum.
             claim: The number of the claim.
 
         Returns:
-            One value for each episode in the ledger. Margins are SI, and NaN if there is no margin.
+            Three arrays of shape (n,), with a value for each of the n episodes in the ledger. A margin is in
+            SI units, and NaN if the episode has no margin.
 
         """
         question = "SELECT episode, outcome, margin FROM judgement WHERE stratum = ? AND claim = ? ORDER BY 1"
@@ -531,7 +572,7 @@ class Ledger:
         return episodes, outcomes, np.array([margin for *_, margin in rows], np.float64)  # NULL becomes NaN
 
     def sample(self, stratum: str, claim: str) -> IndependentSample:
-        """Return the sample for an estimate of how often runs of a stratum violate a claim.
+        """Return the sample from which the violation probability of a claim in a stratum is estimated.
 
         Args:
             stratum: The name of the stratum in the plan.
@@ -539,7 +580,8 @@ class Ledger:
 
         Raises:
             KeyError: The plan has no such stratum or claim.
-            StatisticsError: Episodes are missing, or depend on each other (``dependent``).
+            StatisticsError: Episodes are missing, or ``dependent`` states that the episodes depend on each
+                other.
 
         """
         declared = self.declared
@@ -557,7 +599,7 @@ class Ledger:
         )
 
     def stream(self, stratum: int) -> Declaration:
-        """Return the terms of a stratum's stream of episodes, which were fixed before its first run.
+        """Return the declaration of a stratum's stream of episodes, as fixed before its first run.
 
         Args:
             stratum: The number of the stratum.
@@ -576,11 +618,11 @@ class Ledger:
 
     @contextmanager
     def attached(self, path: Path, name: str) -> Iterator[None]:
-        """Attach another ledger for reading in the body of a ``with`` statement.
+        """Attach another ledger for reading, for the duration of a ``with`` block.
 
         Args:
             path: The file of the other ledger.
-            name: Its name in SQL.
+            name: The name of the other ledger in SQL.
 
         """
         self.connection.execute(f"ATTACH ? AS {name}", (f"file:{quote(str(path.absolute()))}?mode=ro",))
@@ -590,7 +632,10 @@ class Ledger:
             self.connection.execute(f"DETACH {name}")
 
     def _has(self, table: str) -> bool:
-        """Return whether the ledger has the table ``table``; older programs did not write all tables."""
+        """Return True if the ledger has the table ``table``.
+
+        Older programs did not write all tables.
+        """
         return bool(list(self.all("SELECT 1 FROM sqlite_master WHERE name = ? AND type = 'table'", table)))
 
     def all(self, question: str, *values: object) -> Iterator[tuple[Any, ...]]:
@@ -598,7 +643,7 @@ class Ledger:
 
         Args:
             question: The query.
-            values: The values of its placeholders.
+            values: The values for the placeholders of the query.
 
         Raises:
             LedgerError: SQLite cannot answer the query.
@@ -635,14 +680,20 @@ def _declare(connection: sqlite3.Connection, plan: Plan, ledger: Path) -> None:
 
 
 def _world(label: str) -> WorldEntry:
-    """Return the world that a ledger names; ValueError if there is none."""
+    """Return the world that a ledger refers to.
+
+    Raise ValueError if there is no such world.
+    """
     if (world := world_labelled(label)) is None:
         raise ValueError(f"unknown world {label!r}")
     return world
 
 
 def _declared(connection: sqlite3.Connection, path: Path) -> Declared:
-    """Return the plan as the ledger stores it; LedgerError for content that no plan can have."""
+    """Return the plan as the ledger stores it.
+
+    Raise LedgerError if the stored content cannot come from a plan.
+    """
     with explained(path):
         entries = dict(connection.execute("SELECT key, value FROM about"))
         strata = connection.execute("SELECT name, planned FROM stratum ORDER BY id").fetchall()

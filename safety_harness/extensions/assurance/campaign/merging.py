@@ -40,9 +40,9 @@ PAIRS = (
 def merge(into: Path, ledgers: Sequence[Path]) -> int:
     """Write all episodes of ``ledgers`` to a new ledger at ``into``, and return their number.
 
-    Two results of the same episode must agree to the last bit. A path that is listed twice counts once.
-    LedgerError, and no new ledger, in four cases: ``into`` exists, the plans differ, two results differ, or
-    the plan may stop early. Such a plan needs its episodes in order.
+    Two results of the same episode must agree to the last bit. If a path is listed twice, the ledger is read
+    once. Raise LedgerError, and write no new ledger, if ``into`` exists, if the plans differ, or if two
+    results differ. Raise it also if the plan may stop early, because such a plan needs its episodes in order.
     """
     with Ledger.open(ledgers[0]) as first, only_runner(into):
         refuse_any_file(into)
@@ -72,6 +72,7 @@ def _merged(unfinished: Path, first: Ledger, ledgers: Sequence[Path]) -> int:
 def _take_over(whole: Ledger, path: Path) -> None:
     """Copy the whole ledger at ``path`` into ``whole`` in one transaction."""
     with explained(path), whole.attached(path, "part"), whole.transaction():
+        # First, results that both ledgers have must agree; then ``OR IGNORE`` below drops only equal rows.
         for table, columns, key in (
             ("episode", _EPISODE, ("stratum", "episode")),
             ("judgement", _JUDGEMENT, ("stratum", "claim", "episode")),
@@ -89,6 +90,7 @@ def _take_over(whole: Ledger, path: Path) -> None:
                     hint="machines of different kinds, or an avoider that does not repeat itself",
                 )
         whole.take_opened([*whole.all("SELECT name, sha256 FROM part.opened")])
+        # Each ledger numbers its cells itself, so episodes find their cells by the words.
         whole.connection.execute("INSERT OR IGNORE INTO cell (words) SELECT words FROM part.cell")
         whole.connection.execute(
             "INSERT OR IGNORE INTO episode "
@@ -113,7 +115,10 @@ def _take_over(whole: Ledger, path: Path) -> None:
 
 @dataclass(frozen=True)
 class Worse:
-    """An episode that violates a claim with the second avoider but not with the first; its margins are SI."""
+    """An episode that violates a claim with the second avoider, but not with the first.
+
+    The margins of the episode are in SI units.
+    """
 
     stratum: str
     episode: int
@@ -124,10 +129,10 @@ class Worse:
 
 
 def compare_ledgers(first: Ledger, second: Ledger) -> tuple[PairedComparison, ...]:
-    """Return, for each common claim and stratum, the difference ``second`` minus ``first`` with exact bounds.
+    """Return exact bounds of the difference ``second`` minus ``first`` for each common claim and stratum.
 
-    All bounds hold together with the confidence of ``first`` (Bonferroni). LedgerError if episodes are
-    missing, or if the campaigns have no common claim or stratum, other spaces or other scenarios.
+    All bounds hold simultaneously with the confidence of ``first`` (Bonferroni). Raise LedgerError if
+    episodes are missing, if spaces or scenarios differ, or if no claim or no stratum is common. Raise
     StatisticsError if two streams differ.
     """
     refuse_incomparable(first, second)
@@ -142,7 +147,7 @@ def compare_ledgers(first: Ledger, second: Ledger) -> tuple[PairedComparison, ..
 
 
 def began_at(ledger: Ledger) -> list[str]:
-    """Return the time at which each session of ``ledger`` began, ISO 8601 in UTC, ascending."""
+    """Return the start times of all sessions of ``ledger`` in ascending order, as ISO 8601 in UTC."""
     return [began for (began,) in ledger.all("SELECT began FROM session ORDER BY began")]
 
 
@@ -168,7 +173,7 @@ def refuse_incomparable(first: Ledger, second: Ledger) -> None:
 
 
 def without_a_decided_run(ledger: Ledger) -> list[tuple[str, str]]:
-    """Return each (stratum, claim) for which every run failed or had no verdict."""
+    """Return each pair (stratum, claim) for which every run failed or had no verdict."""
     pairs = [(stratum, claim) for stratum in ledger.declared.strata for claim in ledger.declared.claims]
     samples = {pair: ledger.sample(*pair) for pair in pairs}
     return [pair for pair, sample in samples.items() if np.isin(sample.outcomes, PERHAPS).all()]
@@ -181,7 +186,10 @@ _DRAWN = (
 
 
 def refuse_other_scenarios(first: Ledger, second: Ledger) -> None:
-    """Raise LedgerError if an episode has different scenarios, because admission refused different draws."""
+    """Raise LedgerError if an episode has a different scenario in each ledger.
+
+    The scenarios differ if admission refused different draws in the two campaigns.
+    """
     with second.attached(first.path, "first"):
         (pairs, differing), *_ = second.all(f"SELECT count(*), total(a.draws <> b.draws) {_DRAWN}")
     if differing:
@@ -190,7 +198,10 @@ def refuse_other_scenarios(first: Ledger, second: Ledger) -> None:
 
 
 def worse_episodes(first: Ledger, second: Ledger, most: int = 20) -> list[Worse]:
-    """Return at most ``most`` episodes that violate a claim only in ``second``, the largest loss first."""
+    """Return at most ``most`` episodes that violate a claim in ``second`` but not in ``first``.
+
+    The episode with the largest loss of margin comes first.
+    """
     with second.attached(first.path, "first"):
         rows = second.all(
             f"SELECT s.name, a.episode, c.sentence, c.unit, b.margin, a.margin {PAIRS} "

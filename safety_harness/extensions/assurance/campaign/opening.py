@@ -1,4 +1,4 @@
-"""Connections to a ledger: checks, permission to write, SQLite's errors in words, and the tables."""
+"""Connections to a ledger: check the file, limit writing, explain SQLite's errors, and create the tables."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ unusable = LedgerError.of_file
 
 
 def refuse_no_ledger(path: Path) -> None:
-    """Raise LedgerError if ``path`` has no file, no SQLite database, no ledger, or a truncated file."""
+    """Raise LedgerError if the file ``path`` is missing, truncated, no SQLite database, or no ledger."""
     refuse_other_kind(path, FileKind.LEDGER, error=LedgerError)
     refuse_no_file(path, "a ledger", LedgerError)
     try:
@@ -49,17 +49,18 @@ def refuse_no_ledger(path: Path) -> None:
 
 
 def _unfinished(path: Path) -> bool:
-    """Return whether the ledger has a write-ahead log with pages that its file lacks."""
+    """Return True if the ledger has a write-ahead log with pages that are not yet in its file."""
     log = path.with_name(path.name + "-wal")
     return log.exists() and log.stat().st_size > 0
 
 
 def connect(path: Path, *, write: bool, check: bool = True, alone: bool = False) -> sqlite3.Connection:
-    """Return a connection to the ledger at ``path``; LedgerError if it is damaged or of another version.
+    """Return a connection to the ledger at ``path``.
 
-    A reader may read while another process writes. It then sees the state at the beginning of its query. If
-    ``alone`` is true, a reader ignores the files beside the ledger and writes no such file. It then distrusts
-    the file, and allows only a ledger's own tables, views and triggers.
+    Raise LedgerError if the file is damaged or has another version. A reader may read while another process
+    writes. The reader then sees the state at the beginning of its query. If ``alone`` is true, a reader
+    ignores the files beside the ledger and writes no such file. In this case, the reader also treats the file
+    as untrusted, and allows only the tables, views and triggers of a ledger.
     """
     refuse_no_ledger(path)
     with explained(path):
@@ -75,6 +76,7 @@ def connect(path: Path, *, write: bool, check: bool = True, alone: bool = False)
             if alone:
                 _refuse_other_tables(connection, path)
             if check and path.stat().st_size <= LARGEST_CHECKED_BYTES:
+                # For a stranger's ledger, also compare indexes with tables: queries read from both.
                 kind = "integrity" if alone else "quick"
                 (result,) = connection.execute(f"PRAGMA {kind}_check(1)").fetchone()
                 if result != "ok":
@@ -153,10 +155,11 @@ def explained(path: Path) -> Iterator[None]:
 
 @contextmanager
 def only_runner(path: Path) -> Iterator[None]:
-    """Hold the lock that one runner of a ledger needs; LedgerError if another process holds it.
+    """Hold the lock that allows only one runner of a ledger.
 
-    The operating system releases the lock when the process ends in any way. If the process goes on, the
-    function removes the lock's file, and the ledger's folder if it made that folder and it is still empty.
+    Raise LedgerError if another process holds the lock. The operating system releases the lock when the
+    process ends, even after a crash. At the end of the block, the function removes the lock's file. It also
+    removes the ledger's folder if it created this folder and the folder is still empty.
     """
     file = path.with_name(path.name + ".lock")
     new_folder = not path.parent.exists()
@@ -286,7 +289,10 @@ _NAMES = (
 
 @lru_cache
 def added_columns() -> tuple[RegisteredPart, ...]:
-    """Return the parts that add a column; skip, with a warning, a part whose name is invalid or in use."""
+    """Return the parts that add a column.
+
+    If the name of a part is invalid or already used, warn and skip the part.
+    """
     columns: dict[str, RegisteredPart] = {}
     for part in parts(ExtensionPoint.LEDGER_COLUMNS):
         if part.name in (*OWN_COLUMNS, *columns) or not _COLUMN.fullmatch(part.name):
@@ -300,7 +306,10 @@ def added_columns() -> tuple[RegisteredPart, ...]:
 
 
 def added_in(connection: sqlite3.Connection) -> tuple[str, ...]:
-    """Return the valid names of a ledger's added columns, because a stranger may have written any text."""
+    """Return the valid names of the columns that were added to a ledger.
+
+    Other names are ignored, because the ledger may come from a stranger.
+    """
     if not connection.execute("SELECT 1 FROM main.sqlite_master WHERE name = 'added'").fetchone():
         return ()
     names = [str(name) for (name,) in connection.execute(_NAMES)]
@@ -317,7 +326,10 @@ def _show_added(connection: sqlite3.Connection) -> None:
 
 
 def create(connection: sqlite3.Connection, counts: tuple[str, ...] = COUNTS) -> None:
-    """Create the tables in the open transaction; ``counts`` is shorter for ledgers of older programs."""
+    """Create the tables in the open transaction.
+
+    ``counts`` has fewer columns for ledgers that older programs wrote.
+    """
     for statement in _tables(counts).split(";\n")[:-1]:
         connection.execute(statement)
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
@@ -325,13 +337,16 @@ def create(connection: sqlite3.Connection, counts: tuple[str, ...] = COUNTS) -> 
 
 
 def counts_in(connection: sqlite3.Connection) -> tuple[str, ...]:
-    """Return the names of ``COUNTS`` that the ledger stores; newer programs store more counts."""
+    """Return the names in ``COUNTS`` for which the ledger stores a count.
+
+    Newer programs store more counts.
+    """
     columns = {row[1] for row in connection.execute("PRAGMA main.table_info(episode)")}
     return tuple(name for name in COUNTS if name in columns)
 
 
 def _count_nothing_else(connection: sqlite3.Connection) -> None:
-    """Hide the table of episodes behind a temporary view with 0 for each count that the ledger lacks."""
+    """Hide the table of episodes behind a temporary view that has 0 for each count that the ledger lacks."""
     there = counts_in(connection)
     if absent := [f"0 AS {name}" for name in COUNTS if name not in there]:
         connection.execute(f"CREATE TEMP VIEW episode AS SELECT *, {', '.join(absent)} FROM main.episode")

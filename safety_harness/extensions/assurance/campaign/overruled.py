@@ -1,8 +1,8 @@
-"""How often the gate overruled the avoider in a campaign: counts, a sample of episodes, a comparison.
+"""Count how often the gate overruled the avoider in a campaign, and compare two campaigns.
 
-The functions treat "no proposal of this episode was overruled" like a claim. Thus ``statistics`` can give its
-bounds and its paired test. An episode without a proposal is UNTESTED. An episode that failed to run is
-FAILED, unless the gate had overruled a proposal before.
+The functions treat the statement "no proposal of this episode was overruled" like a claim. Thus
+``statistics`` can compute the bounds and the paired test of this statement. An episode without a proposal is
+UNTESTED. An episode that failed to run is FAILED, unless the gate had already overruled a proposal.
 """
 
 from __future__ import annotations
@@ -28,15 +28,19 @@ _EPISODES = (
 
 
 def overruling_in(ledger: Ledger, stratum: int | None = None) -> Overruling:
-    """Return how often the gate overruled proposals in ``stratum``, or in all strata for None."""
+    """Return how often the gate overruled proposals in ``stratum``.
+
+    If ``stratum`` is None, the result covers all strata.
+    """
     chosen = (stratum is None, stratum)
     return Overruling.of_counts(*ledger.all(f"SELECT {_SUMS} FROM episode WHERE ? OR stratum = ?", *chosen))
 
 
 def overruled_episodes(ledger: Ledger, stratum: int) -> IndependentSample:
-    """Return the episodes of ``stratum`` as a sample, "violated" if the gate overruled a proposal.
+    """Return the episodes of ``stratum`` as a sample.
 
-    The margin is minus the number of overruled proposals. StatisticsError while episodes are missing.
+    An overruled proposal is treated as a violation. The margin of an episode is its number of overruled
+    proposals, multiplied by -1. Raise StatisticsError while episodes are missing.
     """
     rows = np.array(list(ledger.all(_EPISODES, stratum, ledger.stopped_after(stratum))), np.int64)
     episodes, seeds, proposals, overruled, failed = rows.reshape(-1, 5).T
@@ -58,7 +62,10 @@ def overruled_episodes(ledger: Ledger, stratum: int) -> IndependentSample:
 
 @dataclass(frozen=True)
 class OverrulingCompared:
-    """A stratum in two campaigns: the counts of both, and a paired test of the episodes with overruling."""
+    """A comparison of two campaigns in one stratum.
+
+    It has the two counts of overruled proposals, and a paired test of the episodes.
+    """
 
     stratum: str
     before: Overruling
@@ -67,7 +74,7 @@ class OverrulingCompared:
 
     @property
     def summary(self) -> str:
-        """The comparison in one line."""
+        """A line that summarises the comparison."""
         pair, more = self.episodes, self.after.share - self.before.share
         was, now = (
             f"{share_words(counts.overruled, counts.proposals)} of {counts.proposals:,}"
@@ -84,7 +91,10 @@ class OverrulingCompared:
 
 
 def compare_overruling(first: Ledger, second: Ledger) -> list[OverrulingCompared]:
-    """Return the comparison of each common stratum of two ledgers, which ``compare_ledgers`` must accept."""
+    """Return the comparison of each common stratum of two ledgers.
+
+    ``compare_ledgers`` must accept the ledgers first.
+    """
     strata = [name for name in first.declared.strata if name in second.declared.strata]
     places = [(first.declared.strata.index(name), second.declared.strata.index(name)) for name in strata]
     return [

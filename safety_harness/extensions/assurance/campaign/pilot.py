@@ -1,10 +1,12 @@
-"""A pilot: a few runs that forecast how many runs test each claim, how many a plan needs, and the time.
+"""Run a pilot, that is, a few runs from which a forecast is made.
 
-The runs of a pilot have another seed than the plan's runs. Thus the plan's author sees no declared run before
-the declaration. The required numbers of runs come from the bounds themselves
-(``extensions.assurance.statistics.planning``).
+The forecast states how many runs will test each claim, how many runs the plan needs, and how long these runs
+take. A pilot uses a seed that differs from the seed of the plan's runs. Thus the plan's author sees no run of
+the plan before the declaration. The required numbers of runs are computed from the same bounds as the
+results; see ``extensions.assurance.statistics.planning``.
 
-The forecast counts runs without a verdict and failed runs as tested and as violations, like the upper bounds.
+The forecast treats a failed run, or a run without a verdict, as a tested run that violates the claim. The
+upper bounds do the same.
 """
 
 from __future__ import annotations
@@ -41,7 +43,10 @@ _PILOT = 2  # in the campaign's branch of the tree of seeds
 
 
 def aim_of(plan: Plan, target: float) -> Aim:
-    """Return the aim to show ``target`` for a claim in a stratum, together with all bounds of the plan."""
+    """Return the aim that the runs show ``target`` for one claim in one stratum.
+
+    The bound that shows the aim must hold simultaneously with all other bounds of the plan.
+    """
     family = ends_of(len(plan.claims), len(plan.strata))
     return Aim(target=target, confidence=plan.confidence, family=family, stop_early=plan.stop_early)
 
@@ -50,11 +55,11 @@ def aim_of(plan: Plan, target: float) -> Aim:
 class ClaimForecast:
     """A forecast for one claim in one stratum.
 
-    In the pilot, ``tested`` of ``tried`` runs exercised the claim, and ``bad`` of these may violate it.
-    ``needed`` is the least number of tested runs that can show the target. ``runs_needed`` is the least
-    number of runs, tested or not, that contains so many tested runs. These numbers suffice with the chance
-    ``WANTED`` if the plan's runs have the pilot's shares. Both are None without a target or if no number
-    suffices; ``why`` has the reason.
+    The pilot had ``tried`` runs. Of these runs, ``tested`` runs exercised the claim, and ``bad`` runs may
+    violate the claim. ``needed`` is the least number of tested runs that can show the target. ``runs_needed``
+    is the least number of runs that is expected to contain ``needed`` tested runs. The two numbers suffice
+    with probability ``WANTED`` if the frequencies in the plan equal those of the pilot. Both numbers are None
+    if there is no target or if no number suffices. In this case, ``why`` has the reason.
     """
 
     stratum: str
@@ -70,7 +75,10 @@ class ClaimForecast:
 
     @property
     def expected(self) -> tuple[int, int, int]:
-        """The least, likely and largest number of planned runs that test the claim (95 % for it alone)."""
+        """The least, likely and largest number of planned runs that will test the claim.
+
+        The interval has 95 % confidence for each single claim, and not for all claims simultaneously.
+        """
         least = lower_bound(self.tested, self.tried, ALONE / 2)
         most = upper_bound(self.tested, self.tried, ALONE / 2)
         ends = (math.floor(least * self.planned), math.ceil(most * self.planned))
@@ -78,12 +86,12 @@ class ClaimForecast:
 
     @property
     def enough(self) -> bool:
-        """Whether the planned runs suffice if they have the pilot's shares."""
+        """Whether the planned runs suffice if the plan's frequencies equal those of the pilot."""
         return self.target is None or (self.runs_needed is not None and self.runs_needed <= self.planned)
 
     @property
     def line(self) -> str:
-        """The forecast in one line."""
+        """A line that summarises the forecast."""
         least, likely, most = self.expected
         will = f"{likely} will test it ({least} to {most})"
         if self.target is None:
@@ -94,7 +102,10 @@ class ClaimForecast:
 
 
 def forecast(plan: Plan, stratum: int, claim: int, *, tried: int, tested: int, bad: int) -> ClaimForecast:
-    """Return the forecast for a claim from ``tried`` runs, either of a pilot or the plan's first runs."""
+    """Return the forecast for a claim from ``tried`` runs.
+
+    The runs are those of a pilot, or the first runs of the plan.
+    """
     planned, declared = plan.claims[claim], plan.strata[stratum]
     unknown = ClaimForecast(
         stratum=declared.name,
@@ -110,6 +121,7 @@ def forecast(plan: Plan, stratum: int, claim: int, *, tried: int, tested: int, b
     if planned.target is None:
         return unknown
     aim = aim_of(plan, planned.target)
+    # More runs would show the violation more clearly, and not the claim.
     if bad and lower_bound(bad, tested, ALONE) > planned.target:
         return replace(unknown, why=f"{bad} of {tested} violate it: no number of runs will show it")
     try:
@@ -126,7 +138,10 @@ def forecast(plan: Plan, stratum: int, claim: int, *, tried: int, tested: int, b
 
 
 def too_few(plan: Plan, tally: CampaignTally) -> Iterator[ClaimForecast]:
-    """Yield a forecast for each claim with too few planned runs, in unfinished strata with ``FIRST`` runs."""
+    """Yield a forecast for each claim for which too few runs are planned.
+
+    A stratum is considered if it is unfinished and has at least ``FIRST`` runs.
+    """
     for stratum, part in enumerate(tally.strata):
         for claim, judged in enumerate(part.claims if part.done >= FIRST and not part.complete else ()):
             counts = judged.counts
@@ -139,10 +154,10 @@ def too_few(plan: Plan, tally: CampaignTally) -> Iterator[ClaimForecast]:
 
 @dataclass(frozen=True, kw_only=True)
 class PlanPilot:
-    """The results of a pilot; ``run_s`` is the median time of a run [s] in each stratum.
+    """The results of a pilot.
 
-    ``remarks`` are reasons why the runs do not represent the plan's avoider. Both ``remarks`` and
-    ``slow_answers`` come from ``AvoiderWatch``.
+    ``run_s`` is the median time of a run [s] in each stratum. ``remarks`` lists the reasons why the runs do
+    not represent the plan's avoider. Both ``remarks`` and ``slow_answers`` come from ``AvoiderWatch``.
     """
 
     forecasts: tuple[ClaimForecast, ...]
@@ -153,20 +168,27 @@ class PlanPilot:
 
     @property
     def enough(self) -> bool:
-        """Whether the planned runs suffice for each claim, and the pilot has no failure and no remark."""
+        """Whether the planned runs suffice for each claim.
+
+        False if the pilot has a failure or a remark.
+        """
         return not (self.failures or self.remarks) and all(claim.enough for claim in self.forecasts)
 
     def seconds(self, plan: Plan, workers: int) -> float:
-        """Return how long [s] the plan's runs take on this machine if no other program uses its cores."""
+        """Return the expected time [s] of the plan's runs on this machine.
+
+        The forecast assumes that no other program uses the machine's cores.
+        """
         return sum(s * stratum.runs for s, stratum in zip(self.run_s, plan.strata, strict=True)) / workers
 
 
 def pilot(plan: Plan, runs: int, on_progress: Callable[[int], None] = lambda done: None) -> PlanPilot:
     """Run ``runs`` episodes of each stratum in this process, and write no file.
 
-    InputError if an avoider cannot be made, or if the plan's text causes an error.
+    Raise InputError if an avoider cannot be made, or if the plan's text causes an error.
     """
     refuse_unready(plan)
+    # A seed of its own: no run of the pilot is a run of the plan.
     seed = leaf(plan.seed, Branch.CAMPAIGN, _PILOT)
     runner = EpisodeRunner(replace(plan, seed=seed, random_traces=0, violations_kept=0))
     forecasts: list[ClaimForecast] = []

@@ -1,4 +1,4 @@
-"""The keys of a plan's file, which ``read_plan``, ``explain`` and the schema for editors share."""
+"""The keys of a plan's file, which ``read_plan``, ``explain`` and the schema for editors use."""
 
 from __future__ import annotations
 

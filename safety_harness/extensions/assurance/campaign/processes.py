@@ -1,8 +1,8 @@
 """The interface of a worker pool that runs episodes, and a pool of processes on this machine.
 
-The pool replaces each process that crashes, hangs or leaks memory. Each worker has its own pipe. So a worker
-that dies while it sends a message harms no other worker. A process that has imported everything forks the
-workers (forkserver), so that a new worker starts at once.
+The pool replaces each process that crashes, hangs or leaks memory. Each worker has its own pipe. Therefore a
+worker that dies while it sends a message does not affect other workers. A process that has imported
+everything forks the workers (forkserver), so that a new worker starts at once.
 """
 
 from __future__ import annotations
@@ -37,7 +37,10 @@ _LOOK_S = 1.0  # between looks at clocks and memory
 
 @dataclass(frozen=True)
 class Chunk:
-    """Episodes of one stratum for one worker; ``keep_violations`` keeps the traces of violations."""
+    """Episodes of one stratum that one worker runs.
+
+    If ``keep_violations`` is true, the rows keep the traces of violations.
+    """
 
     stratum: int
     episodes: tuple[int, ...]
@@ -46,7 +49,10 @@ class Chunk:
 
 @dataclass(frozen=True)
 class Arrived:
-    """Finished rows of a chunk; a chunk may arrive in parts, and ``last`` marks the last part."""
+    """Finished rows of a chunk.
+
+    A chunk may arrive in several parts, and ``last`` marks the last part.
+    """
 
     chunk: Chunk
     rows: tuple[Row, ...]
@@ -55,9 +61,10 @@ class Arrived:
 
 @dataclass(frozen=True)
 class Lost:
-    """A chunk that yields no more rows, and the reason: its worker crashed, hung or grew too large.
+    """A chunk that will yield no more rows.
 
-    ``times`` counts how often a worker certainly began the chunk and was lost; 0 blames no episode.
+    ``why`` states the reason: its worker crashed, hung or used too much memory. ``times`` is the number of
+    workers that certainly began the chunk and were then lost. If the number is 0, no episode is blamed.
     """
 
     chunk: Chunk
@@ -69,7 +76,7 @@ Event = Arrived | Lost
 
 
 class WorkerPool(Protocol):
-    """A pool of workers. Call ``give`` while ``free`` is positive, then call ``take``."""
+    """A pool of workers. Call ``give`` as long as ``free`` is positive, and then call ``take``."""
 
     size: int  # workers that can work at the same time now
     replaced: int  # workers replaced so far
@@ -82,9 +89,10 @@ class WorkerPool(Protocol):
         """Let a worker run ``chunk``."""
 
     def take(self, timeout_s: float) -> Sequence[Event]:
-        """Return the events since the last call; if there are none, wait for at most ``timeout_s``.
+        """Return the events since the last call.
 
-        InputError if the plan caused an error. CampaignError if the pool cannot run anything more.
+        If there are no events, wait for at most ``timeout_s``. Raise InputError if the plan caused an error.
+        Raise CampaignError if the pool can run no more chunks.
         """
 
     def close(self) -> None:
@@ -92,14 +100,17 @@ class WorkerPool(Protocol):
 
 
 class RunsEpisodes(Protocol):
-    """The part of an ``EpisodeRunner`` that a worker calls."""
+    """The interface of an ``EpisodeRunner`` that a worker uses."""
 
     def run(self, stratum: int, episodes: Sequence[int], *, keep_violations: bool = True) -> Iterator[Row]:
         """Yield a row for each of ``episodes``, in their order."""
 
 
 def bench_of_file(file: Path, identity: Identity) -> EpisodeRunner:
-    """Return a runner of the plan in ``file``; LedgerError if that plan is no longer the declared plan."""
+    """Return a runner of the plan in ``file``.
+
+    Raise LedgerError if the plan no longer has the declared ``identity``.
+    """
     plan = read_plan(file)
     identity.refuse_other(plan.identity, file, where=", on every machine")
     return EpisodeRunner(plan, worker=f"{os.uname().nodename}:{os.getpid()}")
@@ -107,13 +118,19 @@ def bench_of_file(file: Path, identity: Identity) -> EpisodeRunner:
 
 @dataclass(frozen=True)
 class _Free:
-    """The message that a worker is ready for a chunk; ``resident_bytes`` is its present memory."""
+    """A message from a worker that is ready for a chunk.
+
+    ``resident_bytes`` is the memory that the worker uses.
+    """
 
     resident_bytes: int
 
 
 def work(connection: Connection, lifeline: Connection, make: Callable[[], RunsEpisodes]) -> None:
-    """Send a row for each episode of each received chunk, then ``_Free``; return when the pipe closes."""
+    """Send a row for each episode of each received chunk, and then ``_Free``.
+
+    Return when the pipe closes.
+    """
     gc.freeze()  # or each collection looks at all that was imported before the fork, and copies its pages
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the first process answers Ctrl-C
     threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
@@ -141,7 +158,7 @@ def _end_with(lifeline: Connection) -> None:
 
 
 def resident_bytes(process: int) -> int:
-    """Return the memory that ``process`` uses now; 0 if the process has ended."""
+    """Return the memory that ``process`` uses now, or 0 if the process has ended."""
     try:
         pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
     except (OSError, IndexError, ValueError):
@@ -156,9 +173,9 @@ class Limits:
     """The limits beyond which the pool replaces a worker.
 
     A worker sends at least one message per row. ``silence_s`` is the longest time between two messages, on a
-    monotonic clock. Before its first finished chunk, a worker has ``first_s`` more, because it may compile
-    machine code. The pool replaces a worker above ``resident_bytes`` or ``episodes`` after its chunk. Above
-    twice the memory, it replaces the worker at once.
+    monotonic clock. Until its first chunk is finished, a worker has ``first_s`` more time, because it may
+    compile machine code. If a worker exceeds ``resident_bytes`` or ``episodes``, the pool replaces the worker
+    after its chunk. If the worker uses more than twice ``resident_bytes``, the pool replaces it at once.
     """
 
     silence_s: float = 300.0
@@ -205,6 +222,7 @@ class Processes:
     def __post_init__(self) -> None:
         one_thread_each()
         self._context = multiprocessing.get_context("forkserver")
+        # All workers fork from a process that has imported this module already.
         self._context.set_forkserver_preload(["safety_harness.extensions.assurance.campaign.processes"])
         self.workers += [self._started() for _ in range(self.size)]
 
@@ -222,7 +240,10 @@ class Processes:
             self._send(worker, chunk)
 
     def take(self, timeout_s: float) -> Sequence[Event]:
-        """Return new rows and lost chunks; raise an error in the plan only after all earlier events."""
+        """Return new rows and lost chunks.
+
+        If the plan caused an error, raise the error only after all earlier events have been returned.
+        """
         if self._mistake is not None:
             raise self._mistake
         by_connection = {worker.connection: worker for worker in self.workers}
@@ -257,7 +278,10 @@ class Processes:
             worker.connection.send(message)
 
     def _hear(self, worker: _Worker, events: list[Event]) -> None:
-        """Add all messages of ``worker`` to ``events``; replace the worker if its process has ended."""
+        """Add all messages of ``worker`` to ``events``.
+
+        Replace the worker if its process has ended.
+        """
         rows: list[Row] = []
         done: _Free | None = None  # the worker's last message, which ends its chunk
         ended = False
@@ -272,6 +296,7 @@ class Processes:
                 elif worker.ready:
                     done = message
                 else:
+                    # The first ``_Free`` comes before any chunk: the worker is ready.
                     worker.ready, self._false_starts = True, 0
                     if worker.chunk is not None:
                         self._send(worker, worker.chunk)
@@ -310,6 +335,7 @@ class Processes:
                 often = f"{_MOST_FALSE_STARTS} workers in a row"
                 raise CampaignError(f"{often} ended before they were ready: {why}")
         if worker.chunk is not None:
+            # A worker that was not ready has not begun its chunk.
             events.append(Lost(worker.chunk, why, times=int(worker.ready)))
         self.replaced += 1
         self._renew(worker)

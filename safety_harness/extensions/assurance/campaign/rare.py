@@ -1,12 +1,13 @@
-"""The probability of rare violations of a plan, from far fewer runs than plain draws would need.
+"""Estimate the probability of rare violations of a plan with far fewer runs than plain draws would need.
 
-The estimate is the share of *all admitted* draws of a stratum that violate a claim. It includes draws that do
-not test the claim. The margin of a refused draw, or of a run that does not test the claim, exceeds every
-margin of a test. Among runs that do not test the claim, the margin is smaller if a hand came nearer.
+The estimate is the fraction of *all admitted* draws of a stratum that violate a claim. The fraction refers to
+all admitted draws, including draws that do not test the claim. A refused draw, or a run that does not test
+the claim, gets a margin that exceeds the margins of all runs that test the claim. If a run does not test the
+claim, its margin is smaller the nearer a hand came.
 
-Separate independent draws give the share of admitted draws, with an exact interval. The estimate is the share
-of violating draws divided by the share of admitted draws. Its interval holds with the plan's confidence,
-together with all other claims and strata (Bonferroni).
+Separate independent draws give the fraction of admitted draws and its exact interval. The estimate is the
+fraction of violating draws divided by the fraction of admitted draws. The intervals of all claims and strata
+hold simultaneously with the plan's confidence (Bonferroni).
 """
 
 from __future__ import annotations
@@ -44,10 +45,12 @@ _BARELY = 1e-12  # a violation with the margin 0 needs a value below 0 too
 
 @dataclass(frozen=True, kw_only=True)
 class RareViolation:
-    """A claim in a stratum: about ``share`` of the admitted draws violate it, at least ``low``.
+    """The estimate for a claim in a stratum.
 
-    ``high`` is an exact upper end, from the plain draws alone. Admission accepted ``admitted`` of
-    ``ADMITTED_OF`` draws. ``estimate`` concerns all draws, admitted or refused, in the unit cube.
+    ``share`` is the estimated fraction of the admitted draws that violate the claim. ``low`` is the lower end
+    of its interval. ``high`` is the upper end, which is exact and comes from the plain draws alone. Admission
+    accepted ``admitted`` of ``ADMITTED_OF`` draws. ``estimate`` is the estimate over all draws in the unit
+    cube, whether they are admitted or refused.
     """
 
     stratum: str
@@ -67,19 +70,21 @@ def rare_violations(
 ) -> Iterator[RareViolation]:
     """Yield the estimate for each claim in each stratum.
 
-    ``on_run`` receives the number of draws for the present claim so far. ``watch`` receives all runs, and
-    judges whether they represent the avoider.
+    After each run, ``on_run`` receives the number of draws that were made for the current claim. ``watch``
+    receives all runs, and checks whether the runs represent the avoider.
 
-    InputError if the plan's text causes an error. StatisticsError if a run failed, or if a run exercises the
-    claim but has no verdict.
+    Raise InputError if the plan's text causes an error. Raise StatisticsError if a run failed, or if a run
+    exercises the claim but has no verdict.
     """
     refuse_unready(plan)
+    # All intervals of the plan hold together with its confidence.
     each = (1.0 - plan.confidence) / (len(plan.strata) * len(plan.claims))
     for stratum in plan.strata:
         seed = leaf(plan.seed, Branch.CAMPAIGN, _RARE, stratum.number)
         admitted = _Draws(plan, stratum, plan.claims[0], seed).admitted(ADMITTED_OF)
         if not admitted:
             raise refusal("strata", f"a draw of {stratum.name!r} that can be run", f"none of {ADMITTED_OF}")
+        # Half of ``each`` is for both ends of the admitted share, and half for the estimate below.
         least, most = (bound(admitted, ADMITTED_OF, each / 4) for bound in (lower_bound, upper_bound))
         for number, claim in enumerate(plan.claims):
             draws = _Draws(plan, stratum, claim, leaf(seed, Branch.CAMPAIGN, number), on_run, watch)
@@ -103,7 +108,10 @@ def rare_violations(
 
 
 class _Draws:
-    """A function from points (n, d) of the cube to margins (n,) of a claim; each run has its own seed."""
+    """A function that returns a claim's margins, shape (n,), at points of the unit cube, shape (n, d).
+
+    Each run has its own seed.
+    """
 
     def __init__(
         self,
@@ -161,4 +169,6 @@ class _Draws:
             return max(float(margin), 0.0)
         if outcome is not EpisodeOutcome.UNTESTED:
             raise refusal("runs", "a verdict on every run that tests the claim", evaluation.reason)
+        # Among untested runs, a nearer hand counts as nearer to a violation, which gives a search a
+        # direction.
         return _UNTESTED + min(least_hand_distance_m(run), _UNTESTED)

@@ -1,4 +1,7 @@
-"""Check, before a plan's runs, that its world and avoiders answer, and that a simulator repeats itself."""
+"""Check a plan's world and avoiders before its runs.
+
+The world and the avoiders must answer, and a user's simulator must give the same run twice.
+"""
 
 from __future__ import annotations
 
@@ -16,13 +19,15 @@ HINT = "a reset must set everything anew, also random numbers, which it seeds wi
 def refuse_unready(plan: Plan) -> None:
     """Raise an error unless the plan's runs can begin.
 
-    A user's simulator runs the first episode of each stratum twice, and must give the same trace.
+    The function runs the first episode of each stratum twice in a user's simulator, and both traces must be
+    equal.
 
     Args:
-        plan: The plan, whose world and avoiders the user wants to run.
+        plan: The plan that the user wants to run.
 
     Raises:
-        InputError: An avoider cannot be made. Or: the simulator fails, or does not repeat itself.
+        InputError: An avoider cannot be made, or the simulator fails, or the simulator does not repeat a run
+            exactly.
         InstallationError: The world is not installed.
 
     """

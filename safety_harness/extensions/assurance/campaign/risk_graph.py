@@ -1,8 +1,8 @@
 """A risk graph, which derives a required level and rate from severity, exposure and avoidance.
 
-The default is the graph of ISO 13849-1:2023, Annex A (informative), as public summaries state it. The rates
-are the upper ends of its bands of PFH_D. A risk assessment requires a level of a safety function. This module
-does not show that a function meets the level.
+The default is the graph in Annex A (informative) of ISO 13849-1:2023, taken from public summaries. The rates
+are the upper ends of that standard's bands of PFH_D. A risk assessment states the level that a safety
+function must have. This module does not show that a function meets the level.
 """
 
 from __future__ import annotations
@@ -27,14 +27,16 @@ MEANINGS = {
     "P2": "scarcely avoidable",
 }
 PATHS = tuple(" ".join(path) for path in product(SEVERITIES, EXPOSURES, AVOIDANCES))
+# The bands of ISO 13849-1 an hour.
 PFH_D = {"a": (1e-5, 1e-4), "b": (3e-6, 1e-5), "c": (1e-6, 3e-6), "d": (1e-7, 1e-6), "e": (1e-8, 1e-7)}
 
 
 @dataclass(frozen=True, kw_only=True)
 class RiskGraph:
-    """A risk graph: the level at the end of each path, and the hourly violations that a level allows.
+    """A risk graph, which maps each path to a level, and each level to the hourly violations that it allows.
 
-    ``levels`` maps paths such as ``S2 F1 P2`` to levels. ``an_hour`` maps levels to violations an hour.
+    ``levels`` maps a path such as ``S2 F1 P2`` to its level. ``an_hour`` maps a level to a number of
+    violations an hour.
     """
 
     name: str
@@ -43,11 +45,11 @@ class RiskGraph:
 
     @property
     def order(self) -> tuple[str, ...]:
-        """The levels in order, the most permissive level first."""
+        """The levels in order, beginning with the most permissive level."""
         return tuple(sorted(self.an_hour, key=lambda level: -self.an_hour[level]))
 
     def below(self, level: str) -> str:
-        """Return the level one step more permissive than ``level``; the most permissive level stays."""
+        """Return the next more permissive level, or ``level`` itself if it is already the most permissive."""
         return self.order[max(self.order.index(level) - 1, 0)]
 
 
@@ -60,7 +62,10 @@ ISO_13849 = RiskGraph(
 
 @dataclass(frozen=True)
 class DerivedRate:
-    """The level and rate that a risk graph gives (None without a full assessment), and all steps in words."""
+    """The level and the rate that a risk graph gives, and a text for each step.
+
+    The level and the rate are None if the assessment is incomplete.
+    """
 
     level: str | None
     an_hour: float | None
@@ -68,9 +73,10 @@ class DerivedRate:
 
 
 def derived(graph: RiskGraph, severity: str, exposure: str, avoidance: str, *, unlikely: bool) -> DerivedRate:
-    """Return the level and rate for an assessment; without a full assessment, both are None.
+    """Return the level and the rate for an assessment.
 
-    If ``unlikely`` is true, the hazardous event has a low probability, which lowers the level by one.
+    The level and the rate are both None if the assessment is incomplete. If ``unlikely`` is true, the
+    hazardous event has a low probability, which lowers the level by one.
     """
     assessment = {"severity": severity, "exposure": exposure, "avoidance": avoidance}
     if missing := [parameter for parameter, value in assessment.items() if value == UNKNOWN]:
@@ -88,7 +94,7 @@ def derived(graph: RiskGraph, severity: str, exposure: str, avoidance: str, *, u
 
 
 def band_of(an_hour: float) -> str:
-    """Return, in words, the band of PFH_D that contains the number ``an_hour``."""
+    """Return a text with the band of PFH_D that contains the number ``an_hour``."""
     for level, (low, high) in PFH_D.items():
         if low <= an_hour < high:
             return f"of the size of band {level}"
@@ -131,7 +137,7 @@ OWN_GRAPH = KeyTable(
 
 
 def read_graph(field: Field | None) -> RiskGraph:
-    """Return the risk graph that the plan defines in ``field``; the default graph if ``field`` is None."""
+    """Return the risk graph that the plan defines in ``field``, or the default graph if ``field`` is None."""
     if field is None:
         return ISO_13849
     given = field.fields(OWN_GRAPH.names)

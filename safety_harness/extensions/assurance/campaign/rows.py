@@ -14,7 +14,10 @@ from safety_harness.trace.overruling import Overruling
 
 @dataclass(frozen=True)
 class ClaimJudgement:
-    """The result of one episode for one claim; the margin is SI, and NaN if there is no margin."""
+    """The result of one episode for one claim.
+
+    The margin is in SI units, and NaN if there is no margin.
+    """
 
     outcome: EpisodeOutcome
     margin: float = math.nan
@@ -24,15 +27,17 @@ class ClaimJudgement:
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """An episode that ran or failed to run; ``judgements`` are in the order of the plan's claims.
+    """An episode that ran or failed to run.
 
-    ``seed`` is the root of its draws. ``draws`` counts the draws until admission accepted a scenario. ``run``
-    is a number that identifies the run, and 0 if there is no run. ``theorem`` has the bits of
-    ``theorem_bits``. Bit 0 is set behind a shield, and bit n is set if assumption n did not hold.
+    ``judgements`` has an entry for each of the plan's claims, in their order. ``seed`` is the seed from which
+    all draws of the episode derive. ``draws`` is the number of draws up to the draw that admission accepted.
+    ``run`` is a number that identifies the run, or 0 if there is no run. ``theorem`` has the bits of
+    ``theorem_bits``. Bit 0 is set if the avoider runs behind a shield, and bit n is set if assumption n did
+    not hold.
 
     ``cell`` is the run's cell in the coverage map. ``run_error`` states how the avoider failed to answer.
-    ``failure`` is the reason why there is no whole run. ``seconds`` and ``worker`` depend on this machine;
-    all other fields are equal on every machine.
+    ``failure`` is the reason why the run is missing or incomplete. ``seconds`` and ``worker`` depend on this
+    machine, and all other fields are equal on every machine.
     """
 
     stratum: int  # its place in the plan

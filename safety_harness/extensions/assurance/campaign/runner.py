@@ -1,8 +1,8 @@
 """The loop that gives episodes to a worker pool and commits their rows to the ledger.
 
 If a chunk is lost, the runner runs its episodes again, one at a time, to find the episode that caused the
-loss. After ATTEMPTS losses, that episode counts as failed. The results do not depend on the order in which
-rows arrive, or on the time of day.
+loss. After ATTEMPTS losses, the outcome of that episode is FAILED. The results do not depend on the order in
+which rows arrive, or on the time of day.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from safety_harness.extensions.assurance.statistics.binomial import chance_of_ea
 from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
 from safety_harness.extensions.assurance.statistics.sequential import anytime_lower, anytime_upper
 
-ATTEMPTS = 3
+ATTEMPTS = 3  # losses of an episode before its outcome is FAILED; a choice
 CHUNK_S = 1.0  # of work per chunk, so that handing over and committing cost little
-MOST_IN_CHUNK = 1000
+MOST_IN_CHUNK = 1000  # a choice
 MOST_TOGETHER = 64  # episodes of a chunk in a world with batches, which holds all their traces in memory
 _WAIT_S = 0.5  # to wait for events before ``enough`` is called again
 _COMMIT_S = 0.2  # between commits, so that a transaction has many rows
@@ -40,12 +40,14 @@ _COMMIT_S = 0.2  # between commits, so that a transaction has many rows
 class CampaignRunner:
     """A runner of the missing episodes of a ledger, which also reports its progress.
 
-    ``tally`` counts the committed episodes, ``done_now`` the episodes of this session, and ``retried`` the
-    lost episodes that ran again. The runner calls ``enough`` before it gives out chunks. Once ``enough``
-    returns True, unfinished chunks finish and no new chunk begins.
+    ``tally`` has the counts of the committed episodes. ``done_now`` is the number of episodes of this
+    session, and ``retried`` is the number of lost episodes that ran again. The runner calls ``enough`` before
+    it gives chunks to workers. Once ``enough`` returns True, the workers finish their chunks and receive no
+    new chunks.
 
-    ``part`` (k, n) selects every n-th episode from k on, for machines that share only the plan.
-    ``repeatability`` collects the questions that all workers asked their avoiders.
+    ``part`` is a pair (k, n) that selects every n-th episode, beginning with episode k. Machines that have
+    only the plan in common can thus divide the work. ``repeatability`` collects the queries that all workers
+    sent to their avoiders.
     """
 
     plan: Plan
@@ -69,6 +71,7 @@ class CampaignRunner:
         self._bench = EpisodeRunner(self.plan)  # draws scenarios here; workers run them
         self.tally = tally_of(self.ledger)
         self.pace = Pace()
+        # The ledger of an earlier session may already have traces of violations.
         self._kept = [sorted(self.ledger.violations_kept(s)) for s in range(len(self.plan.strata))]
         self._stopping = Stopping(self.plan, self.ledger)
         missing = [self._missing(s) for s in range(len(self.plan.strata))]
@@ -78,13 +81,16 @@ class CampaignRunner:
 
     @property
     def left(self) -> int:
-        """The number of episodes that are still to come."""
+        """The number of episodes that have not finished yet."""
         strata = zip(self.tally.strata, self._left, strict=True)
         return sum(left for stratum, left in strata if not stratum.complete)
 
     @property
     def standing(self) -> tuple[int, int]:
-        """The numbers of finished and of planned episodes, of this part if the runner runs only a part."""
+        """The numbers of finished and of planned episodes.
+
+        If the runner runs only a part, the numbers are those of the part.
+        """
         first, parts = self.part
         if parts == 1:
             return self.tally.done, self.tally.planned
@@ -92,10 +98,10 @@ class CampaignRunner:
         return planned - sum(self._left), planned
 
     def run(self) -> bool:
-        """Run until the end, or until ``enough`` returns True; return whether the campaign is complete.
+        """Run until the campaign ends or ``enough`` returns True. Return True if the campaign is complete.
 
-        InputError and CampaignError come from ``WorkerPool.take``. OutputError if the ledger cannot be
-        written. In each case, the ledger has all episodes that finished before.
+        InputError and CampaignError are passed on from ``WorkerPool.take``. Raise OutputError if the ledger
+        cannot be written. After any error, the ledger has all episodes that finished before the error.
         """
         try:
             self._run()
@@ -125,7 +131,11 @@ class CampaignRunner:
         self.on_progress(self)
 
     def commit(self) -> None:
-        """Write the rows that have arrived; after an error, the runner keeps them for the next commit."""
+        """Write the rows that have arrived.
+
+        After an error, the runner keeps the rows for the next commit.
+        """
+        # Rows may still arrive for episodes after the end of a stratum.
         ends = [stratum.stopped_after for stratum in self.tally.strata]  # later episodes do not count
         rows = [row for row in self._rows if (end := ends[row.stratum]) is None or row.episode < end]
         if rows:
@@ -139,6 +149,7 @@ class CampaignRunner:
         for stratum, stop in self._stopping.decided.items():
             if self.tally.strata[stratum].stopped_after is None:
                 self.ledger.stop(stratum, stop)
+                # Count again, because ``stop`` has removed rows.
                 self.tally = tally_of(self.ledger)
 
     def _arrived(self, event: Arrived) -> None:
@@ -157,8 +168,12 @@ class CampaignRunner:
             del self._out[event.chunk]
 
     def _lost(self, event: Lost) -> None:
-        """Try lost episodes again, one at a time; an episode that is lost too often counts as failed."""
+        """Try lost episodes again, one at a time.
+
+        An episode that is lost too often becomes a failed episode.
+        """
         waiting = sorted(self._out.pop(event.chunk))
+        # A chunk of several episodes does not show which of them ended the worker.
         blamed = event.times if len(event.chunk.episodes) == 1 else 0
         self.retried += len(waiting)
         for episode in waiting:
@@ -187,7 +202,10 @@ class CampaignRunner:
 
     @property
     def _length(self) -> int:
-        """The number of episodes of the next chunk; 1 until the time of an episode is known."""
+        """The number of episodes in the next chunk.
+
+        The number is 1 until the time of an episode is known.
+        """
         if not self.done_now:
             return 1
         each_s = self._spent_s / self.done_now
@@ -200,7 +218,7 @@ class CampaignRunner:
         return [range(gap.start + (first - gap.start) % parts, gap.stop, parts) for gap in missing]
 
     def _drop_surplus(self) -> None:
-        """Drop traces of violations, except those of the first ``violations_kept`` violations by number."""
+        """Drop the traces of violations, except those of the first ``violations_kept`` violating episodes."""
         for stratum, tally in enumerate(self.tally.strata):
             surplus = self.ledger.violations_kept(stratum)[self.plan.violations_kept :]
             if tally.complete and surplus:
@@ -214,11 +232,12 @@ _Outcomes = tuple[EpisodeOutcome, ...]  # of an episode, by claim
 
 
 class Stopping:
-    """The rule that ends strata early; it takes episodes in order, so that the workers' speed has no effect.
+    """The rule that ends strata early.
 
-    A claim is decided once its upper bound meets the target, or its lower bound exceeds the target. A stratum
-    ends once all its claims are decided. The bounds hold at all looks
-    (``extensions.assurance.statistics.sequential``).
+    The rule receives the episodes in order, so that the workers' speed has no effect. A claim is decided once
+    its upper bound meets the target, or its lower bound exceeds the target. A stratum ends once all its
+    claims are decided. The bounds from ``extensions.assurance.statistics.sequential`` hold simultaneously at
+    all times, so the rule may be evaluated repeatedly.
     """
 
     def __init__(self, plan: Plan, ledger: Ledger) -> None:
@@ -239,7 +258,7 @@ class Stopping:
             self._advance(stratum)
 
     def add(self, rows: Iterable[Row]) -> None:
-        """Take in the episodes of ``rows``, and decide about each stratum."""
+        """Receive the episodes of ``rows``, and decide for each stratum whether it ends."""
         if self._active:
             for row in rows:
                 outcomes = tuple(judgement.outcome for judgement in row.judgements)

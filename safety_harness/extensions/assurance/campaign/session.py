@@ -1,4 +1,7 @@
-"""Run a campaign from its beginning, or from an interruption, to its end, with one runner and its workers."""
+"""Run a campaign to its end with one runner and its workers.
+
+The campaign starts from its beginning, or continues after an interruption.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,10 @@ MakesCrew = Callable[[Plan], WorkerPool]
 
 
 def processes(workers: int | None = None, limits: Limits = LIMITS) -> MakesCrew:
-    """Return a function that makes worker processes on this machine: ``workers``, or one for each core."""
+    """Return a function that makes worker processes on this machine.
+
+    The number of processes is ``workers``, or the number of cores if ``workers`` is None.
+    """
     size = workers or len(os.sched_getaffinity(0))
     return lambda plan: Processes(partial(bench_of_file, plan.file.resolve(), plan.identity), size, limits)
 
@@ -52,18 +58,18 @@ def run_missing(
 ) -> bool:
     """Run the missing episodes of a ledger, and create the ledger if it is missing.
 
-    If the plan has changed, a ledger without runs begins anew. At the end, a second avoider answers some of
-    the questions again, and the ledger stores the result. If no episode is missing, the questions come from
-    the stored runs.
+    If the plan has changed and the ledger has no runs yet, the function replaces the ledger by a new ledger.
+    At the end, a second avoider answers some of the queries again, and the ledger stores the result. If no
+    episode is missing, the queries come from the stored runs.
 
     Args:
         plan: The plan.
         path: The file of the ledger.
-        make_crew: Makes the workers, as ``processes`` does.
+        make_crew: A function that makes the workers, such as the result of ``processes``.
         on_progress: A callback, which receives the runner after each commit.
-        enough: A function that returns True to end the session early.
-        part: (k, n) runs only every n-th episode, from k on.
-        say: A callback, which receives a line for people.
+        enough: A function that returns True if the session should end early.
+        part: A pair (k, n). The session runs only every n-th episode, beginning with episode k.
+        say: A callback, which receives a line of text for the user.
 
     Returns:
         Whether the campaign is complete.
@@ -72,7 +78,7 @@ def run_missing(
         InputError: The plan causes an error, an avoider cannot be made, or the world is not installed. In the
             last two cases no new ledger is created.
         LedgerError: The ledger belongs to another plan, or another runner uses it.
-        CampaignError: The workers cannot run anything more.
+        CampaignError: The workers cannot run any more episodes.
         OutputError: The ledger cannot be written.
 
     """
@@ -104,9 +110,10 @@ carry_on = run_missing  # deprecated: the old name, for one release
 
 
 def _ask_again(plan: Plan, ledger: Ledger, say: Callable[[str], None]) -> None:
-    """Ask the questions of stored runs again, and record the answers in the ledger only if one differs.
+    """Send the queries of stored runs to the avoider again.
 
-    The ledger may belong to a report, which should not change without need.
+    Record the result in the ledger only if an answer differs. The ledger may belong to a report, and the
+    report should not change without need.
     """
     ((count, *ends),) = ledger.all(
         "SELECT (SELECT count(*) FROM episode), min(began), max(began) FROM session"
@@ -128,7 +135,10 @@ def _ask_again(plan: Plan, ledger: Ledger, say: Callable[[str], None]) -> None:
 
 
 def _checked(check: Callable[[], RepeatabilityResult]) -> RepeatabilityResult:
-    """Return the result of ``check``; if it raises an error, return that in words, so that no run is lost."""
+    """Return the result of ``check``.
+
+    If ``check`` raises an error, return a result with the error as a text, so that no run is lost.
+    """
     try:
         return check()
     except Exception as error:  # a user's program may raise anything
@@ -136,9 +146,9 @@ def _checked(check: Callable[[], RepeatabilityResult]) -> RepeatabilityResult:
 
 
 def _known(path: Path, plan: Plan) -> Ledger | None:
-    """Return the ledger at ``path``, opened for writing; None if there is no file.
+    """Return the ledger at ``path``, opened for writing, or None if there is no file.
 
-    If the ledger belongs to another plan and has no runs, delete it and return None.
+    If the ledger belongs to another plan and has no runs, delete the ledger and return None.
     """
     if not path.exists():
         return None
@@ -153,9 +163,10 @@ def _known(path: Path, plan: Plan) -> Ledger | None:
 
 @contextmanager
 def plan_of(ledger: Ledger) -> Iterator[Plan]:
-    """Yield the plan of ``ledger`` from the plan's own file, or from the ledger's copy if that file is gone.
+    """Yield the plan of ``ledger``.
 
-    LedgerError if the plan has changed; the error lists the changes.
+    The plan is read from its own file, or from the ledger's copy if the file no longer exists. Raise
+    LedgerError with the list of changes if the plan has changed.
     """
     file = ledger.declared.plan_file
     with ExitStack() as stack:
@@ -168,14 +179,17 @@ def plan_of(ledger: Ledger) -> Iterator[Plan]:
 def copied_plan_of(ledger: Ledger) -> Iterator[Plan]:
     """Yield the plan from the copies of its files in ``ledger``, even if the original files have changed.
 
-    InputError if the present program cannot read the copies.
+    Raise InputError if the present program cannot read the copies.
     """
     with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
         yield read_plan(unpacked(ledger.files, Path(folder)))
 
 
 def processor() -> str:
-    """Return the processor's name; results are equal bit for bit on all processors of a family."""
+    """Return the processor's name.
+
+    Processors of one family give results that are equal bit for bit.
+    """
     lines: list[str] = []
     with suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text(errors="replace").splitlines()

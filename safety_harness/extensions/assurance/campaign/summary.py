@@ -1,14 +1,14 @@
-"""Summaries of a ledger: the counts, a fingerprint of its results, and a hash of all rows.
+"""Summaries of a ledger: the counts, a fingerprint of the results, and a hash of all rows.
 
 The hash is the root of a Merkle tree over the episodes, as in RFC 6962, section 2.1 (Laurie, Langley and
 Kasper, 2013), with SHA-256. The input of a leaf begins with the byte 0, and the input of a node with the byte
-1. Thus a node cannot pass as a leaf. The left subtree of n leaves has as many leaves as the largest power of
-two below n.
+1. Thus the hash of a node can never be the hash of a leaf. The left subtree of n leaves has as many leaves as
+the largest power of two below n.
 
-A leaf is the JSON of an episode. It begins with stratum and number, seed, draws, decisions, overruled
+A leaf is the JSON of an episode. The JSON begins with the stratum, episode, seed, draws, decisions, overruled
 proposals, run, theorem bits, cell, run error and failure. The kind and the SHA-256 of the stored trace
 follow. The leaf ends with the outcome, margin, moment and occasions for each claim. The ledger does not store
-these hashes, because they would protect nothing in the same file.
+these hashes, because a forger of the file could replace them too.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _JUDGED = "SELECT claim, episode, outcome, margin, worst_time_s, exercised FROM 
 
 
 def _of_episode(ledger: Ledger) -> str:
-    """Return the columns that are equal on every machine, omitting the columns that ``ledger`` lacks."""
+    """Return the columns that are equal on every machine, except the columns that ``ledger`` lacks."""
     return (
         "e.episode, e.seed, e.draws, e.decisions, e.proposed, e.opposite, e.stopped, e.faults, e.late, "
         f"e.{', e.'.join(ledger.counts)}, c.words, e.mishap, e.failure"
@@ -51,7 +51,7 @@ def _of_episode(ledger: Ledger) -> str:
 
 
 def tally_of(ledger: Ledger) -> CampaignTally:
-    """Return the counts and the worst margins of the rows in ``ledger`` now."""
+    """Return the counts and the worst margins of the present rows in ``ledger``."""
     declared = ledger.declared
     strata = [StratumTally(planned, [ClaimCounts() for _ in declared.claims]) for planned in declared.planned]
     for stratum, done in ledger.all("SELECT stratum, count(*) FROM episode GROUP BY stratum"):
@@ -70,10 +70,10 @@ def tally_of(ledger: Ledger) -> CampaignTally:
 
 @dataclass(frozen=True)
 class LedgerState:
-    """The state of a ledger, computed once.
+    """The state of a ledger at one moment.
 
-    Only a complete campaign has ``bounds`` and a ``fingerprint``. If its episodes depend on each other, it
-    has no ``bounds``.
+    Only a complete campaign has ``bounds`` and a ``fingerprint``. There are no ``bounds`` if the episodes
+    depend on each other.
     """
 
     tally: CampaignTally
@@ -82,23 +82,31 @@ class LedgerState:
 
 
 def state_of(ledger: Ledger) -> LedgerState:
-    """Return the state of the rows in ``ledger`` now; a million episodes take some time."""
+    """Return the state of the present rows in ``ledger``.
+
+    The computation is slow for a million episodes.
+    """
     tally = tally_of(ledger)
     bounds = bounds_in(ledger) if tally.complete and not ledger.dependent else ()
     return LedgerState(tally, bounds, fingerprint_of(ledger) if tally.complete else None)
 
 
 def basis_in(ledger: Ledger, tally: CampaignTally) -> str:
-    """Return the basis of the ledger's verdicts in words: world, exercised runs, and unwatched parts."""
+    """Return a text that states the basis of the ledger's verdicts.
+
+    The basis consists of the world, the number of runs that exercised each claim, and the aspects that no
+    claim monitors.
+    """
     claims = map(tally.of_claim, range(len(ledger.declared.claims)))
     return basis([str(ledger.declared.world)], ((counts.tested, tally.done) for counts in claims))
 
 
 @dataclass(frozen=True)
 class FallbackTally:
-    """The questions that the avoider did not answer: ``unanswered`` of ``decisions``, and the main reason.
+    """The queries that the avoider did not answer.
 
-    ``episodes`` counts the episodes with such a question.
+    ``unanswered`` of ``decisions`` queries had no answer, and ``reason`` is the most frequent reason.
+    ``episodes`` is the number of episodes with an unanswered query.
     """
 
     unanswered: int
@@ -108,7 +116,7 @@ class FallbackTally:
 
     @property
     def summary(self) -> str:
-        """A sentence for headlines; empty if the avoider always answered."""
+        """A headline on how often the avoider did not answer, or an empty string if it always answered."""
         return fallback_words(self.unanswered, self.decisions)
 
 
@@ -120,7 +128,10 @@ def shields_in(ledger: Ledger) -> tuple[str, ...]:
 
 
 def fallback_of(ledger: Ledger, stratum: int | None = None) -> FallbackTally:
-    """Return how often the avoider did not answer in ``stratum``, or in all strata for None."""
+    """Return how often the avoider did not answer in ``stratum``.
+
+    If ``stratum`` is None, the result covers all strata.
+    """
     selection = (stratum is None, stratum)
     counts = "SELECT coalesce(sum(faults), 0), coalesce(sum(decisions), 0), count(mishap) FROM episode"
     ((unanswered, decisions, episodes),) = ledger.all(f"{counts} WHERE ? OR stratum = ?", *selection)
@@ -131,14 +142,20 @@ def fallback_of(ledger: Ledger, stratum: int | None = None) -> FallbackTally:
 
 
 def bounds_in(ledger: Ledger) -> tuple[ProbabilityBounds, ...]:
-    """Return the bounds of each claim in each stratum, which all hold together, as in a report."""
+    """Return the bounds of each claim in each stratum.
+
+    All bounds hold simultaneously, as in a report.
+    """
     declared = ledger.declared
     pairs = [(stratum, claim) for stratum in declared.strata for claim in declared.claims]
     return bounds_of([ledger.sample(*pair) for pair in pairs], declared.confidence, Sides.BOTH)
 
 
 def fingerprint_of(ledger: Ledger) -> str:
-    """Return the SHA-256 of all results, bit for bit; if two ledgers agree, so do their fingerprints."""
+    """Return the SHA-256 of all results.
+
+    Two ledgers have the same fingerprint if their results agree bit for bit.
+    """
     same = (  # the same results in the same order
         f"SELECT {_of_episode(ledger)} FROM episode e LEFT JOIN cell c ON c.id = e.cell "
         "WHERE e.stratum = ? ORDER BY e.episode",
@@ -155,7 +172,11 @@ def fingerprint_of(ledger: Ledger) -> str:
 
 @dataclass
 class ClaimCounts:
-    """A claim in a stratum: the episodes with each outcome, and the least margin (SI) with its episode."""
+    """The results of a claim in a stratum.
+
+    The results are the number of episodes with each outcome, the least margin (SI), and the episode that has
+    this margin.
+    """
 
     counts: dict[EpisodeOutcome, int] = field(default_factory=lambda: dict.fromkeys(EpisodeOutcome, 0))
     worst: float = math.nan
@@ -168,7 +189,10 @@ class ClaimCounts:
         return sum(count for outcome, count in self.counts.items() if outcome not in left_out)
 
     def add(self, outcome: EpisodeOutcome, margin: float, episode: int) -> None:
-        """Count an episode; if several episodes have the least margin, the first of them is the worst."""
+        """Add the result of an episode.
+
+        If several episodes have the least margin, the first of them is the worst.
+        """
         self.counts[outcome] += 1
         tested = outcome in JUDGED and not math.isnan(margin)
         if tested and (math.isnan(self.worst) or (margin, episode) < (self.worst, self.worst_episode)):
@@ -177,7 +201,7 @@ class ClaimCounts:
 
 @dataclass
 class StratumTally:
-    """A stratum: the numbers of planned, finished and failed episodes."""
+    """The numbers of planned, finished and failed episodes of a stratum, and the counts for each claim."""
 
     planned: int
     claims: list[ClaimCounts]
@@ -225,7 +249,10 @@ class CampaignTally:
         return all(stratum.complete for stratum in self.strata)
 
     def of_claim(self, claim: int) -> ClaimCounts:
-        """Return the counts of ``claim`` over all strata; the stratum of ``worst_episode`` is not stored."""
+        """Return the counts of ``claim`` over all strata.
+
+        The result does not say in which stratum ``worst_episode`` is.
+        """
         whole = ClaimCounts()
         for stratum in self.strata:
             part = stratum.claims[claim]
@@ -244,7 +271,10 @@ _OF_STRATUM = (
 
 
 def root_of(ledger: Ledger) -> str:
-    """Return the Merkle root over all episodes, stratum by stratum, with the judgements of all claims."""
+    """Return the Merkle root over all episodes in the order of the strata.
+
+    The hashed rows include the judgements of all claims.
+    """
     return merkle_root(_rows(ledger)).hex()
 
 
@@ -260,9 +290,9 @@ def _rows(ledger: Ledger) -> Iterator[bytes]:
 
 
 def merkle_root(leaves: Iterable[bytes]) -> bytes:
-    """Return the hash MTH of RFC 6962 (32 bytes) over ``leaves``, which it reads only once.
+    """Return the hash MTH (32 bytes) of RFC 6962 over ``leaves``, which the function reads only once.
 
-    A finished subtree of 2^k leaves waits until a right neighbour of 2^k leaves is finished too.
+    A finished subtree of 2^k leaves is stored until its right neighbour of 2^k leaves is finished too.
     """
     waiting: list[tuple[int, bytes]] = []  # (leaves, hash) by descending size
     for leaf in leaves:

@@ -1,4 +1,7 @@
-"""Check, in runs without a ledger, that the avoider always answers, in time, and repeats its answers."""
+"""Check that the avoider always answers, answers in time, and repeats its answers.
+
+The check is for runs without a ledger.
+"""
 
 from __future__ import annotations
 
@@ -18,10 +21,10 @@ from safety_harness.trace.trace import Trace
 
 @dataclass
 class AvoiderWatch:
-    """A record of the avoider's answers over several runs.
+    """A record of the avoider's answers in several runs.
 
-    It counts ``decisions`` and ``unanswered`` decisions. It collects answer ``times`` and the questions,
-    which ``remarks`` asks again.
+    The record has the number of ``decisions`` and the number of ``unanswered`` decisions. The record also has
+    the ``times`` of the answers, and the queries that ``remarks`` sends to the avoider again.
     """
 
     decisions: int = 0
@@ -37,7 +40,10 @@ class AvoiderWatch:
         self.repeatability.add(run)
 
     def add_row(self, row: Row, scenario: Callable[[], Scenario]) -> None:
-        """Add the answers of a run from its ``row``; ``scenario`` returns the run's scenario on demand."""
+        """Add the answers of the run with the given ``row``.
+
+        ``scenario`` is a function that returns the run's scenario when it is needed.
+        """
         self.decisions += row.decisions
         self.unanswered += row.faults
         self.times += row.times
@@ -47,11 +53,14 @@ class AvoiderWatch:
 
     @property
     def time_lines(self) -> list[str]:
-        """A line if the avoider was slower than its runs allow; otherwise empty."""
+        """A list with one line if the avoider was slower than its runs allow, and otherwise an empty list."""
         return [f"computing time: {text}" for text in [self.times.summary] if text]
 
     def remarks(self, plan: Plan) -> Iterator[str]:
-        """Ask the avoider again, and yield reasons why the runs do not represent the avoider of ``plan``."""
+        """Repeat the queries to the avoider.
+
+        Yield the reasons why the runs do not represent the avoider of ``plan``.
+        """
         fallback = fallback_words(self.unanswered, self.decisions)
         if fallback and not is_claimed(claim.claim for claim in plan.claims):
             yield fallback

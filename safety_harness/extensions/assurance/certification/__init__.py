@@ -1,1 +1,4 @@
-"""Evidence as one report: results, argument, counterexamples, and a page, which ``verify`` checks again."""
+"""The evidence for a plan as one report, which ``verify`` can check again.
+
+The report has results, an argument, counterexamples and a page.
+"""

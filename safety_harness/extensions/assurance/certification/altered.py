@@ -1,13 +1,14 @@
-"""The least number of altered rows that changes a verdict, and the chance that a check misses all of them.
+"""Compute the least number of altered rows that changes a verdict.
 
-The verifier draws n of N runs without replacement. Suppose that k of the N rows were altered. The draw misses
-all k with the chance C(N - k, n) / C(N, n) (hypergeometric). A repeated run always exposes a row that states
-another outcome.
+Also compute the probability that a check misses all of these rows. The verifier draws n of N runs without
+replacement. Suppose that k of the N rows were altered. The draw misses all k altered rows with the
+probability C(N - k, n) / C(N, n), according to the hypergeometric distribution. If an altered row states
+another outcome, a repetition of its run always exposes the row.
 
-k is the least number of altered rows that can change a status; the altered rows may state any outcome. The
-statuses are *met* (shown, with or without doubt), *not shown*, *refuted* and *never put to the test*. Without
-a target, only the last status counts. Doubt is no separate status, because a single run without a verdict
-causes it.
+Here, k is the least number of altered rows that can change a status. An altered row may state any outcome.
+The statuses are *met*, *not shown*, *refuted* and *never tested*. A claim is *met* if it is shown, even with
+doubt. If there is no target, only the status *never tested* is considered. Doubt is not a separate status,
+because a single run without a verdict is enough to cause doubt.
 """
 
 from __future__ import annotations
@@ -32,9 +33,10 @@ class Turn:
 
 
 def turns_of(claims: Sequence[ClaimEvidence], *, early: bool) -> tuple[Turn, ...]:
-    """Return a ``Turn`` for every verdict of ``claims``, the most easily changed verdict first.
+    """Return a ``Turn`` for every verdict of ``claims``.
 
-    ``early`` is true if the bounds hold at every time, as in a plan that may stop early.
+    The verdict that is changed most easily comes first. ``early`` is true if the bounds hold simultaneously
+    at all times, as in a plan that may stop early.
     """
     turns = [
         Turn(claim.sentence, outcome.stratum, outcome.standing, rows)
@@ -48,16 +50,17 @@ def turns_of(claims: Sequence[ClaimEvidence], *, early: bool) -> tuple[Turn, ...
 def rows_to_turn(outcome: ClaimResult, target: float | None, *, early: bool) -> int | None:
     """Return the least number of rows whose altered outcomes change the verdict of ``outcome``.
 
-    The quickest way to more violations alters tested runs without a violation first, and then untested runs.
-    The quickest way to fewer violations alters violations first, and then untested runs.
+    To add violations with the fewest rows, a forger first alters tested runs that have no violation, and then
+    untested runs. To remove violations with the fewest rows, a forger first alters violating runs, and then
+    untested runs.
 
     Args:
         outcome: The results of a claim in a stratum.
-        target: The violation probability that the plan allows; None: the plan sets no target.
-        early: True for bounds that hold at every time.
+        target: The violation probability that the plan allows, or None if the plan sets no target.
+        early: True if the bounds hold simultaneously at all times.
 
     Returns:
-        The number of rows, at least 1; None while runs are missing.
+        The number of rows, at least 1, or None while runs are missing.
 
     """
     if outcome.standing is ClaimStatus.UNTESTED:
@@ -68,7 +71,10 @@ def rows_to_turn(outcome: ClaimResult, target: float | None, *, early: bool) -> 
 
 
 def _least_rows(outcome: ClaimResult, target: float | None, chance: float, early: bool) -> Iterator[int]:
-    """Yield, for each status that differs from the present one, the least number of rows that causes it."""
+    """Yield the least number of altered rows for each new status.
+
+    A new status is any status except the present status.
+    """
     yield outcome.tested  # every tested row must change to leave the claim untested
     if target is None:
         return
@@ -98,7 +104,7 @@ def _least_rows(outcome: ClaimResult, target: float | None, chance: float, early
 
 
 def _least(turns: Callable[[int], bool], most: int) -> Iterator[int]:
-    """Yield the least number from 1 to ``most`` for which ``turns`` is true, if there is such a number.
+    """If ``turns`` is true for a number from 1 to ``most``, yield the least such number.
 
     ``turns`` must be monotone: if it is true for a number, it is true for every larger number.
     """
@@ -111,12 +117,18 @@ def _least(turns: Callable[[int], bool], most: int) -> Iterator[int]:
 
 
 def chance_to_miss(runs: int, altered: int, again: int) -> float:
-    """Return the chance that ``again`` of ``runs`` runs, drawn without replacement, miss ``altered`` rows."""
+    """Return the probability that a sample without replacement misses all altered rows.
+
+    The sample has ``again`` of ``runs`` runs, and ``altered`` rows were altered.
+    """
     few, many = sorted((altered, again))
     return math.prod(max(runs - many - k, 0) / (runs - k) for k in range(few))
 
 
 def runs_to_see(runs: int, altered: int, miss: float) -> int:
-    """Return how many of ``runs`` to repeat so that they miss ``altered`` rows with chance ``miss`` only."""
+    """Return how many of ``runs`` runs must be repeated to find an altered row.
+
+    If ``altered`` rows were altered, the probability of missing them all is at most ``miss``.
+    """
     (again,) = _least(lambda again: chance_to_miss(runs, altered, again) <= miss, runs - altered + 1)
     return again

@@ -3,14 +3,15 @@
 The argument for the top goal is divided by hazard, claim and stratum. If a part of the system is learned, a
 second argument follows the stages of AMLAS.
 
-- Goals are statements that should be true. Strategies divide a goal. Solutions are the evidence below it.
+- Goals are statements that should be true. Strategies divide a goal into further goals. Solutions are the
+  evidence that supports a goal.
 - Contexts, assumptions and justifications stand beside an element.
-- Defeaters would undermine the top goal. Below each defeater are its answers: counter goals and counter
-  solutions of GSN's dialectic extension.
+- Defeaters would undermine the top goal. The answers to a defeater stand below it. In GSN's dialectic
+  extension, they are counter goals and counter solutions.
 - A goal without support is undeveloped, and the picture marks it.
 
-All texts come from the evidence. Therefore the argument shows a failure if the evidence shows it. An author's
-notes (``notes``) appear beside an element and change no state.
+All texts come from the evidence. Therefore the argument shows a failure if the evidence shows it. The
+author's ``notes`` appear beside the elements and have no effect on the result.
 """
 
 from __future__ import annotations
@@ -47,7 +48,10 @@ MOST_STRATA = 4  # elements below a claim, the most severe strata first; the las
 
 
 class ElementKind(Enum):
-    """The kinds of elements in GSN; the value of each kind is the letter with which a key begins."""
+    """The kinds of elements in GSN.
+
+    The value of each kind is the letter with which the key of an element begins.
+    """
 
     GOAL = "G"
     STRATEGY = "S"
@@ -63,10 +67,11 @@ class ElementKind(Enum):
 class Element:
     """An element of the argument.
 
-    ``place`` is the id on the page to which the element links. ``state`` is the colour of its statement.
-    ``below`` has the elements that support it; defeaters and answers among them challenge it instead.
-    ``beside`` has its context. ``key`` consists of its kind and number, which may change from run to run.
-    ``name`` stays the same, so that notes can refer to it.
+    ``place`` is the id on the page to which the element links. ``state`` is the colour of the element's
+    statement. ``below`` has the elements that support this element. If an element in ``below`` is a defeater
+    or an answer, it challenges this element instead of supporting it. ``beside`` has the context of the
+    element. ``key`` consists of the element's kind and number, which may change from run to run. ``name``
+    stays the same, so that notes can refer to it.
     """
 
     kind: ElementKind
@@ -80,7 +85,7 @@ class Element:
 
     @property
     def undeveloped(self) -> bool:
-        """True for a goal, strategy or defeater without an element below it."""
+        """True if the element is a goal, strategy or defeater and has no element below it."""
         return self.kind in UNDEVELOPED and not self.below
 
     def every(self) -> Iterator[Element]:
@@ -99,7 +104,10 @@ UNDEVELOPED = {
 
 
 def argument_of(evidence: Evidence) -> Element:
-    """Return the top goal of the whole argument; its leaves link to the evidence on the page."""
+    """Return the top goal of the whole argument.
+
+    The leaves of the argument link to the evidence on the page.
+    """
     plan, system = evidence.plan, evidence.system
     domain = "Domain: " + ", ".join(item.name for item in evidence.strata)
     sure = f"{percent(plan.confidence)} for all {plan.bounds} bounds together, {plan.world}"
@@ -142,7 +150,10 @@ def argument_of(evidence: Evidence) -> Element:
 
 
 def _noted(element: Element, notes: dict[str, str]) -> Element:
-    """Return ``element`` and everything below it, each with its note in ``notes`` as a justification."""
+    """Return a copy of ``element`` and of everything below it.
+
+    A note in ``notes`` on an element becomes a justification beside the element.
+    """
     text = notes.get(element.name, "") if element.name else ""
     note = (Element(ElementKind.JUSTIFICATION, f"The author: {text}", element.place),) if text else ()
     below = tuple(_noted(child, notes) for child in element.below)
@@ -150,9 +161,10 @@ def _noted(element: Element, notes: dict[str, str]) -> Element:
 
 
 def _numbered(element: Element, counts: Counter[ElementKind]) -> Element:
-    """Return ``element`` and everything below it with keys; elements of each kind are counted separately.
+    """Return a copy of ``element`` and of everything below it, with keys.
 
-    The elements beside an element get their numbers before the elements below it.
+    Each kind of element is numbered separately. The elements beside an element are numbered before the
+    elements below it.
     """
     counts[element.kind] += 1
     key = f"{element.kind.value}{counts[element.kind]}"
@@ -163,7 +175,10 @@ def _numbered(element: Element, counts: Counter[ElementKind]) -> Element:
 
 
 def _hazards(evidence: Evidence) -> Iterator[Element]:
-    """Yield a goal for each hazard of the plan, then a goal for each hazard text of the remaining claims."""
+    """Yield a goal for each hazard of the plan.
+
+    Group the remaining claims by the text of their hazard, and yield a goal for each group.
+    """
     for hazard in evidence.hazards:
         claims = [item for item in evidence.claims if item.number in hazard.claims]
         yield _hazard(hazard, claims, rated=bool(hazard.met) and not evidence.plan.model_only)
@@ -178,9 +193,9 @@ def _hazards(evidence: Evidence) -> Iterator[Element]:
 
 
 def _hazard(hazard: HazardEvidence, claims: list[ClaimEvidence], *, rated: bool) -> Element:
-    """Return the goal of ``hazard``, with the goals of its ``claims`` below it.
+    """Return the goal for ``hazard``. Below this goal are the goals for its ``claims``.
 
-    ``rated`` is true if the hazard's rates meet the limit, and not only in a simplified world.
+    ``rated`` is true if the hazard's rates meet the limit in a world that is not simplified.
     """
     limit = "" if hazard.asked_an_hour is None else f", at most {hazard.asked_an_hour:g} an hour"
     rates = {
@@ -214,12 +229,17 @@ def _hazard(hazard: HazardEvidence, claims: list[ClaimEvidence], *, rated: bool)
 
 
 def _claim(claim: ClaimEvidence, rates: tuple[Element, ...]) -> Element:
-    """Return the goal of ``claim`` with a solution for each stratum, the most severe first, and ``rates``."""
+    """Return the goal for ``claim``.
+
+    The goal is supported by a solution for each stratum and by the solutions ``rates``. The stratum with the
+    most severe status comes first.
+    """
     place, state = f"claim-{claim.number}", STATE[claim.standing]
     target = "" if claim.target is None else f", violated in at most {percent(claim.target)}"
     tested = sorted(
         (row for row in claim.outcomes if row.tested), key=lambda row: -SEVERITY.index(row.standing)
     )
+    # One place stays for the element that sums up the rest.
     many = tested if len(tested) <= MOST_STRATA else tested[: MOST_STRATA - 1]
     strata = [_stratum(row, place) for row in many]
     if rest := tested[len(many) :]:
@@ -251,7 +271,7 @@ NOT_SUPERVISED = (
 
 
 def _stages(evidence: Evidence) -> Iterator[Element]:
-    """Yield the six stages of AMLAS, each with the evidence for it in this report."""
+    """Yield the six stages of AMLAS, each with the evidence that this report has for the stage."""
     card, claims, proven = dict(evidence.system.card), evidence.claims, evidence.proven
     targets = sum(item.target is not None for item in claims)
     risks = f"{len(evidence.hazards)} hazards; {targets} of {len(claims)} claims have a target"
@@ -291,6 +311,7 @@ def _stages(evidence: Evidence) -> Iterator[Element]:
         below = tuple(Element(ElementKind.SOLUTION, *item) for item in solutions)
         if number == len(stages) and below:
             below += (Element(ElementKind.GOAL, IN_THE_CELL, "learned", name="AMLAS stage 6, in the cell"),)
+        # Learning yields the frozen network, which the hash identifies.
         frozen = tuple(Element(ElementKind.CONTEXT, item, "system") for item in hashes if number == 4)
         name = f"AMLAS stage {number}"
         yield Element(ElementKind.GOAL, f"Stage {number}, {text}", "system", OPEN, below, frozen, name=name)
@@ -303,7 +324,10 @@ IN_THE_CELL = (
 
 
 def _deployment(evidence: Evidence) -> Answers:
-    """Yield how a user notices a changed network, and the outcome of each recorded cell."""
+    """Yield answers about deployment.
+
+    The answers state how a user detects a changed network, and give the result of each recorded cell.
+    """
     yield "Frozen and known by its hash: another network needs another report", "learned", OPEN
     for part in evidence.system.under_test:
         if part.gate is not None and "question" in part.gate.name:
@@ -319,7 +343,10 @@ Answers = Iterator[tuple[str, str, str]]  # text, place, state
 
 
 def _hunt(evidence: Evidence) -> Answers:
-    """Yield the size of the search, and how many counterexamples it and the declared runs found."""
+    """Yield the size of the search.
+
+    Also yield the number of counterexamples from the search, and the number from the declared runs.
+    """
     if evidence.search is not None:
         count = len(evidence.counterexamples)
         searched = sum(not example.independent for example in evidence.counterexamples)
@@ -330,14 +357,17 @@ def _hunt(evidence: Evidence) -> Answers:
 
 
 def _domain(evidence: Evidence) -> Answers:
-    """Yield the number of cells of the coverage map in which there are runs."""
+    """Yield the number of cells of the coverage map that contain runs."""
     if evidence.coverage.runs:
         text = f"Coverage: {len(evidence.coverage.cells)} cells in {evidence.coverage.runs} runs"
         yield text, "coverage", OPEN
 
 
 def _credibility(evidence: Evidence) -> Answers:
-    """Yield each comparison that tests the simulator: other world, repeated runs, recorded cells, oracles."""
+    """Yield the result of each comparison that tests the simulator.
+
+    The simulator is compared with the other world, with repeated runs, with recorded cells and with oracles.
+    """
     known = evidence.credibility
     if (agreement := known.agreement) is not None:
         state = DOUBT if agreement.optimistic or not agreement.present else DONE
@@ -369,7 +399,7 @@ def _tools(evidence: Evidence) -> Answers:
 
 
 def _declared(evidence: Evidence) -> Answers:
-    """Yield the hash of the declaration; nothing if there is no declaration."""
+    """Yield the hash of the declaration, if the plan was declared."""
     if digest := evidence.record.declaration_sha256:
         yield f"Declared as {digest[:12]}, if that was lodged before the runs", "plan", OPEN
 
@@ -382,7 +412,10 @@ def _calibration(evidence: Evidence) -> Answers:
 
 
 def _altered(evidence: Evidence) -> Answers:
-    """Yield the root over all rows, which only a seal outside of the report can protect."""
+    """Yield the root hash over all rows.
+
+    Only a seal that is stored outside the report can protect this hash.
+    """
     yield f"Root over all rows {evidence.record.rows_sha256[:12]}, to be sealed elsewhere", "provenance", OPEN
 
 
@@ -398,7 +431,10 @@ DEFEATERS: tuple[tuple[str, str, str, Callable[[Evidence], Answers]], ...] = (
 
 
 def _defeaters(evidence: Evidence) -> Iterator[Element]:
-    """Yield each defeater of the top goal, green only if its answers are green without an open finding."""
+    """Yield each defeater of the top goal.
+
+    A defeater is green only if all its answers are green and it has no open finding.
+    """
     for name, text, place, known in DEFEATERS:
         if name == "certain" and not evidence.system.asks:
             continue

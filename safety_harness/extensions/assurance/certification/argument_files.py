@@ -1,12 +1,13 @@
-"""Two files of the argument beside the page: for external tools, and for the author's notes.
+"""Two files of the argument beside the page.
 
-``argument.gsn.yaml`` has the format of gsn2x (github.com/jonasthewolf/gsn2x), an open program that checks and
-draws goal structures. The documentation of gsn2x lists the keys ("Syntax in YAML", "Dialectic Extension").
-The text is JSON, which is valid YAML.
+The first file is for external tools, and the second file is for the author's notes. ``argument.gsn.yaml`` has
+the format of gsn2x (github.com/jonasthewolf/gsn2x), an open program that checks and draws goal structures.
+The sections "Syntax in YAML" and "Dialectic Extension" of its documentation list the keys. The text is JSON,
+which is valid YAML.
 
 ``argument.yaml`` has the author's notes, one for each goal, strategy and defeater. The names of these
-elements stay the same from run to run. ``certify`` reads the notes and adds them as justifications. Then it
-writes the file again and keeps the notes.
+elements stay the same from run to run. ``certify`` reads the notes and adds the notes to the argument as
+justifications. Then the program writes the file again and keeps the notes.
 """
 
 from __future__ import annotations
@@ -35,7 +36,10 @@ _BESIDE = (ElementKind.CONTEXT, ElementKind.ASSUMPTION, ElementKind.JUSTIFICATIO
 
 
 def gsn_text(evidence: Evidence, page: str) -> str:
-    """Return the argument of ``evidence`` in gsn2x's format; each element links to its place on ``page``."""
+    """Return the argument of ``evidence`` in gsn2x's format.
+
+    Each element links to its place on ``page``.
+    """
     elements: dict[str, dict[str, Any]] = {}
     for element, challenged in _walk(argument_of(evidence), ""):
         made: dict[str, Any] = {"text": element.text, "url": f"{page}#{element.place}"}
@@ -54,7 +58,7 @@ def gsn_text(evidence: Evidence, page: str) -> str:
 
 
 def _walk(element: Element, above: str) -> Iterator[tuple[Element, str]]:
-    """Yield ``element`` and everything below it, each with the key of the element that it challenges.
+    """Yield ``element`` and everything below it, each element with the key of the element that it challenges.
 
     ``above`` is the key of the parent. The yielded key is empty if the element supports its parent.
     """
@@ -65,7 +69,7 @@ def _walk(element: Element, above: str) -> Iterator[tuple[Element, str]]:
 
 
 def read_notes(folder: Path) -> tuple[ArgumentNote, ...]:
-    """Return the author's notes in a report's ``folder``; empty if there is no file of notes.
+    """Return the author's notes in a report's ``folder``, or an empty tuple if there is no file of notes.
 
     Raises:
         ScenarioError: The file is too large, or it does not map elements to short texts.

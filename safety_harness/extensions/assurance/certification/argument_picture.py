@@ -19,7 +19,11 @@ INDENT = 12.0  # of elements beside an element, which the picture draws below it
 
 
 class _Box:
-    """An element with its left upper corner and size in the picture, in px. Its lines are escaped markup."""
+    """An element of the picture.
+
+    The element has an upper left corner and a size in px. ``lines`` has the text of the element as escaped
+    markup.
+    """
 
     def __init__(self, element: Element, x: float, y: float) -> None:
         kind = element.kind.name.lower()
@@ -41,12 +45,14 @@ class _Layout:
         self.width = max(box.x for box in self.boxes) + WIDTH + GAP_X
 
     def _place(self, element: Element, x: float, y: float) -> tuple[_Box, float]:
-        """Place ``element`` with its left upper corner at ``x``, ``y`` (px), and its whole subtree.
+        """Place ``element`` and its whole subtree.
 
-        Elements beside it are drawn below its box. Elements below it in the argument are drawn to its right.
+        The upper left corner of ``element`` is at the point (``x``, ``y``) in px. If other elements stand
+        beside ``element`` in the argument, they are drawn below its box. If other elements support
+        ``element``, they are drawn to the right of its box.
 
         Returns:
-            The box of the element, and the lower end (px) of everything placed.
+            The box of the element, and the lowest coordinate (px) of the element and its subtree.
 
         """
         box = self._box(element, x, y)

@@ -83,20 +83,21 @@ class Certification:
 
         Args:
             file: The plan.
-            folder: The folder of the report; None: reports/NAME of the plan.
+            folder: The folder of the report. The default is reports/NAME, where NAME is the name of the plan.
             command: The command that makes the report again.
-            selftest: A selftest.json; None: no self-test.
-            oracles: A file of independent oracles; None: no oracles.
+            selftest: A file selftest.json, or None if there is no self-test.
+            oracles: A file of independent oracles, or None if there are no oracles.
             cells: Files compare-worlds.json.
-            declared: The declaration of the plan; None: the file beside the plan, if it exists.
-            pdf: Print the page too.
-            proof: A certificate of ``prove``; None: the plan's own, if it names one.
+            declared: The declaration of the plan. The default is the file beside the plan, if it exists.
+            pdf: Whether to print the page also as a PDF.
+            proof: A certificate that ``prove`` wrote. The default is the certificate to which the plan
+                refers, if any.
 
         Raises:
-            InputError: The plan differs from its declaration, or its runs cannot meet a target. Or: a file
-                cannot be read, or no browser can print the PDF. Or: the checker does not confirm the proof,
-                or the proof is of another network.
-            InstallationError: Two packages own one module.
+            InputError: The plan differs from its declaration, its runs cannot meet a target, or a file cannot
+                be read. InputError is also raised if no browser can print the PDF, if the checker does not
+                confirm the proof, or if the proof is of another network.
+            InstallationError: The same module belongs to two packages.
 
         """
         plan = read_packable(file)
@@ -122,8 +123,8 @@ class Certification:
         """Run the missing episodes and searches, and write the report.
 
         Args:
-            workers: The number of processes; None: one for each core.
-            watch: Opens the display of the campaign's progress.
+            workers: The number of processes. The default is one process per core.
+            watch: A function that opens the display of the campaign's progress.
             output: Receives remarks.
 
         Returns:
@@ -160,12 +161,13 @@ class Certification:
         return evidence, complete
 
     def search(self, output: Output, guard: ReportGuard) -> bool:
-        """Search each stratum for counterexamples; start an unfinished search again from its beginning.
+        """Search each stratum for counterexamples.
 
-        ``output`` receives remarks. If a search fails, the failure becomes a finding of ``guard``.
+        An unfinished search starts again from its beginning. ``output`` receives remarks. If a search fails,
+        ``guard`` records a finding.
 
         Returns:
-            False after Ctrl-C; otherwise True, even if a search failed.
+            False if Ctrl-C interrupted a search. Otherwise True, even if a search failed.
 
         """
         for stratum, searched in zip(self.plan.strata, searches_of(self.plan, self.folder), strict=False):
@@ -202,16 +204,17 @@ class Certification:
 
 
 def _refuse_unnamed_world(plan: Plan) -> None:
-    """Raise ScenarioError if a plan does not name the world on which the report would rest."""
+    """Raise ScenarioError if a plan does not state the world in which its runs are made."""
     if not plan.names_world:
         place, expected = Place(file=plan.file, field="world"), "a world, on which the report will rest"
         raise ScenarioError(place=place, expected=expected, got="none", hint=f"world: {plan.world.label}")
 
 
 def refuse_shared_modules() -> None:
-    """Raise InstallationError if two installed packages own one module; the error names the packages.
+    """Raise InstallationError if the same module belongs to two installed packages.
 
-    The list of installed packages cannot tell which package's module was imported.
+    The error states the names of the packages. In this case, it is unknown from which package the module was
+    imported.
     """
     for module, packages in shared_modules().items():
         expected = "one installed package that owns it"

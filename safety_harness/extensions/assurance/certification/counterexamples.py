@@ -1,9 +1,10 @@
-"""Distinct violations: the worst of each kind from the declared runs, and the counterexamples of a search.
+"""Find distinct violations in the declared runs and in the searches.
 
-The search of each stratum has its own folder. Its findings.json is read once.
+The declared runs give the worst violation of each kind, and the searches give their counterexamples. The
+search of each stratum has its own folder. The file findings.json in that folder is read only once.
 
-Two violations of a claim are of the same kind if they agree in three things. These are the stratum, the side
-from which the hand came, and the outcome of the most severe decision.
+Two violations of a claim are of the same kind if they agree in three things. The three things are the
+stratum, the side from which the hand came, and the outcome of the most severe decision.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from safety_harness.trace.store import load_trace
 from safety_harness.trace.unmeasured import refuse_not_simulated
 
 FOLDER = "counterexamples"
-LARGEST_SCENARIO_BYTES = 2**20
+LARGEST_SCENARIO_BYTES = 2**20  # 1 MiB: a limit of the memory for a damaged or forged report
 MOST = 40  # counterexamples with pictures, which take some 0.2 MB each, and 0.3 MB at most
 MOST_LINES = 14
 # keys of a findings.json before 0.2
@@ -57,7 +58,10 @@ _VIOLATIONS = (
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """A counterexample and its run; ``data`` is the stored trace of a declared run, None for a search."""
+    """A counterexample and its run.
+
+    ``data`` is the stored trace of a declared run, or None if a search found the counterexample.
+    """
 
     shown: CounterexampleEvidence
     run: JudgedRun
@@ -66,7 +70,11 @@ class Example:
 
 @dataclass(eq=False)
 class _Kind:
-    """The violations of one kind: their number, and the worst episode whose trace is stored (or None)."""
+    """The violations of one kind.
+
+    The object has their number, and the worst violating episode whose trace is stored. The episode is None if
+    no trace is stored.
+    """
 
     stratum: int
     words: str
@@ -75,7 +83,7 @@ class _Kind:
 
 
 def declared_counterexamples(plan: Plan, ledger: Ledger) -> Iterator[Example | str]:
-    """Yield the worst violation with a stored trace for each kind of violation in the declared runs.
+    """Yield the worst violation with a stored trace, for each kind of violation in the declared runs.
 
     Args:
         plan: The plan of the runs.
@@ -113,7 +121,10 @@ def declared_counterexamples(plan: Plan, ledger: Ledger) -> Iterator[Example | s
 
 
 def _kinds(ledger: Ledger, claim: int) -> list[_Kind]:
-    """Return the kinds of violation of claim number ``claim`` (from 0), the worst first."""
+    """Return the kinds of violations of a claim, beginning with the worst kind.
+
+    ``claim`` is the number of the claim, counted from 0.
+    """
     kept = {(stratum, episode) for stratum, episode, _ in ledger.traces()}
     kinds: dict[tuple[int, str], _Kind] = {}
     for stratum, episode, label, _ in ledger.all(_VIOLATIONS, claim, int(EpisodeOutcome.VIOLATED)):
@@ -148,7 +159,10 @@ class FaultsFound(Struct, frozen=True):
 
 
 class Found(Struct, frozen=True, kw_only=True):
-    """The content of a findings.json: tried and requested runs, distinct violations, counterexample files."""
+    """The content of a findings.json.
+
+    The file has the tried and the requested runs, the distinct violations and the counterexample files.
+    """
 
     tried: int
     budget: int
@@ -165,7 +179,10 @@ class Found(Struct, frozen=True, kw_only=True):
 
     @property
     def confirmed_words(self) -> str:
-        """The worlds that confirm the counterexamples; empty if none is confirmed."""
+        """A phrase with the worlds that confirm the counterexamples.
+
+        The phrase is empty if no counterexample is confirmed.
+        """
         return f" and confirmed in {' and '.join(self.confirmed_in)}" if self.confirmed else ""
 
 
@@ -177,7 +194,7 @@ class Searched:
         stratum: The name of the stratum.
         folder: The folder with the findings and the counterexamples.
         asked: The number of runs that the plan asks for.
-        found: The findings; None if the file is missing, cannot be read or belongs to another search.
+        found: The findings, or None if the file is missing, cannot be read or belongs to another search.
         problem: The reason why ``found`` is None.
 
     """
@@ -190,7 +207,7 @@ class Searched:
 
     @property
     def complete(self) -> bool:
-        """True if the search finished as the plan asks."""
+        """True if the search finished without an interruption."""
         return self.found is not None and not self.found.interrupted
 
 
@@ -198,7 +215,7 @@ def read_findings(path: Path) -> Found:
     """Return the findings in ``path``, a file that ``fuzz`` wrote.
 
     Raises:
-        InputError: ``fuzz`` did not write the file; the error names the field.
+        InputError: ``fuzz`` did not write the file. The error states the wrong field.
 
     """
     stored = read_json(path, "the findings of a search")
@@ -216,9 +233,10 @@ def read_findings(path: Path) -> Found:
 
 
 def searches_of(plan: Plan, folder: Path) -> tuple[Searched, ...]:
-    """Return the searches of all strata that get a share of the search runs, in the order of ``plan``.
+    """Return the searches of all strata that receive search runs, in the order of ``plan``.
 
-    ``folder`` is the report's folder. If the shares are uneven, the first strata get one run more.
+    ``folder`` is the report's folder. The search runs are divided equally among the strata. If a remainder is
+    left, each of the first strata receives one of the remaining runs.
     """
     each, more = divmod(plan.search_runs, len(plan.strata))
     shares = [each + (place < more) for place in range(len(plan.strata))]
@@ -226,7 +244,10 @@ def searches_of(plan: Plan, folder: Path) -> tuple[Searched, ...]:
 
 
 def _searched(plan: Plan, folder: Path, place: int, share: int) -> Searched:
-    """Return the search of stratum number ``place``, with its findings if they belong to this plan."""
+    """Return the search of stratum number ``place``.
+
+    The result has the findings of the search if they belong to this plan.
+    """
     stratum = plan.strata[place].name
     where = folder / SEARCH / f"{place + 1}-{_slug(stratum)}"
     file, findings, problem = where / FINDINGS, None, "was not made, or failed"
@@ -244,7 +265,10 @@ def _searched(plan: Plan, folder: Path, place: int, share: int) -> Searched:
 
 
 def search_evidence(searches: tuple[Searched, ...]) -> SearchSummary | None:
-    """Return a summary of ``searches``; None if the plan asks for no search, or if no findings are known."""
+    """Return a summary of the ``searches`` that have findings.
+
+    Return None if no findings are known, for example because the plan requires no search.
+    """
     known = [(item.stratum, item.found) for item in searches if item.found is not None]
     if not known:
         return None
@@ -265,7 +289,7 @@ def search_evidence(searches: tuple[Searched, ...]) -> SearchSummary | None:
 
 
 def _slug(name: str) -> str:
-    """Return a stratum's ``name`` in a form that a folder's name may contain."""
+    """Return a stratum's ``name`` in a form that the name of a folder may contain."""
     kept = "".join(letter if letter.isascii() and letter.isalnum() else "-" for letter in name.lower())
     return kept.strip("-")[:60] or "stratum"
 
@@ -316,7 +340,10 @@ def searched_counterexamples(
 
 
 def _acted(scenario: Scenario) -> str:
-    """Return ``scenario`` as text, without title, description and claims, because a search changes these."""
+    """Return ``scenario`` as text.
+
+    The text has no title, description and claims, because a search changes these parts.
+    """
     return write_scenario(replace(scenario, title="-", about="", claims=()))
 
 
@@ -332,7 +359,10 @@ def _example(
     scenario: str = "",
     data: bytes | None = None,
 ) -> Example:
-    """Return a counterexample with its margin and its ``replay`` command; ``numbered`` sets its number."""
+    """Return a counterexample with its margin and its ``replay`` command.
+
+    The function ``numbered`` sets the number of the counterexample.
+    """
     index = run.under_claim(sentence).about
     shown = CounterexampleEvidence(
         number=0,
@@ -353,9 +383,9 @@ def _example(
 def told_whose_fault(plan: Plan, met: Sequence[Example | str]) -> tuple[Example | str, ...]:
     """Return ``met``, with an attribution added to the worst declared counterexamples of each claim.
 
-    The attribution runs the scenarios again. Like the runs, it executes the programs that the plan names. It
-    covers ``MOST_ASKED`` counterexamples of each claim. Counterexamples of a search already have an
-    attribution.
+    The attribution runs the scenarios again. Like the runs, the attribution executes the programs to which
+    the plan refers. The attribution covers ``MOST_ASKED`` counterexamples of each claim. Counterexamples of a
+    search already have an attribution.
     """
     attribution = SearchAttribution()
     counts: Counter[int] = Counter()
@@ -371,12 +401,15 @@ def told_whose_fault(plan: Plan, met: Sequence[Example | str]) -> tuple[Example 
 
 
 def with_fault(met: Example, lines: Sequence[str]) -> Example:
-    """Return the counterexample ``met`` with the attribution ``lines`` after the first line, its kind."""
+    """Return the counterexample ``met`` with the attribution ``lines``.
+
+    The attribution follows the first line, which states the kind.
+    """
     return replace(met, shown=replace(met.shown, lines=(*met.shown.lines[:1], *lines, *met.shown.lines[1:])))
 
 
 def numbered(met: Sequence[Example | str]) -> tuple[Example, ...]:
-    """Return the counterexamples in ``met``, numbered from 1, and leave out the texts."""
+    """Return the counterexamples in ``met``, without the texts, and number them from 1."""
     shown = [item for item in met if isinstance(item, Example)]
     return tuple(replace(item, shown=replace(item.shown, number=k)) for k, item in enumerate(shown, start=1))
 

@@ -35,9 +35,9 @@ def credibility_of(
     """Return the measured evidence on the simulator, and a reason for each measurement that is missing.
 
     Args:
-        stored: The stored random runs. At most ``MOST_RERUNS`` of them, spread evenly, run again.
+        stored: The stored random runs. At most ``MOST_RERUNS`` of these runs, spread evenly, are run again.
         trials: The oracles and the recorded cells.
-        reruns: Known results that replace new runs; None: run again here.
+        reruns: Known results that replace new runs. The default is to repeat runs on this machine.
 
     """
     complete = [item.trace for item in stored if item.trace.complete]
@@ -88,7 +88,10 @@ def agreement_of() -> WorldAgreement:
 
 
 def _no_reruns(chosen: Sequence[Trace]) -> list[str]:
-    """Return the reasons why no run can be repeated here; an empty list if runs can be repeated."""
+    """Return the reasons why no run can be repeated here.
+
+    The list is empty if runs can be repeated.
+    """
     if not chosen:
         return [
             "The ledger stores no declared random run, so this report repeats no run with other step sizes."
@@ -130,7 +133,7 @@ def _rerun(
 ) -> Rerun:
     """Apply ``change`` to the scenarios of ``traces``, run them in ``world``, and count the changed verdicts.
 
-    If a run cannot be repeated, all of its verdicts count as changed.
+    If a run cannot be repeated, each of its verdicts is treated as changed.
     """
     verdicts = changed = optimistic = 0
     largest: dict[str, tuple[float, str]] = {}
@@ -161,7 +164,11 @@ def _rerun(
 
 
 def _note_joints(largest: dict[str, tuple[float, str]], first: Trace, second: Trace) -> None:
-    """Record in ``largest`` how far the joints of two runs are apart; if equal, physics had no part."""
+    """Record in ``largest`` by how much the joint positions of two runs differ.
+
+    The function keeps this value only if no earlier value is larger. A difference of 0 shows that physics had
+    no effect.
+    """
     ends = min(len(first.ticks), len(second.ticks))
     columns = [run.ticks["joint_position_rad"][:ends] for run in (first, second)]
     apart_rad = float(np.abs(columns[1] - columns[0]).max(initial=0.0))
@@ -170,7 +177,10 @@ def _note_joints(largest: dict[str, tuple[float, str]], first: Trace, second: Tr
 
 
 def _note(largest: dict[str, tuple[float, str]], old: Evaluation, new: Evaluation) -> None:
-    """Record in ``largest`` how much the margin of a claim changed, if no earlier change was larger."""
+    """Record in ``largest`` by how much the margin of a claim changed.
+
+    The value is kept only if no earlier change of this margin is larger.
+    """
     if old.margin is None or new.margin is None:
         return
     difference = new.margin - old.margin

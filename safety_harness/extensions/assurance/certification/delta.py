@@ -1,17 +1,17 @@
-"""The changes from an evidence report to a later report: regressions, and the runs that carry over.
+"""The changes from an evidence report to a later report: regressions, and evidence that still applies.
 
 These are regressions:
 
 - A claim lost the status SHOWN in a stratum, or a claim with this status is gone.
 - The confidence is lower.
 - A target is larger, and the claim no longer meets the earlier target.
-- A claim had neither the status SHOWN nor ESTIMATED, and the later plan omits it or shows it in another
-  space.
+- A claim was not SHOWN and not ESTIMATED, and the later plan omits this claim or shows it in another space.
 - A finding is new.
 - A proof is gone.
 - A hazard met its hourly limit and no longer meets it.
-- The data show that a violation probability is larger. The interval of the difference, paired by episode,
-  then lies above zero. If the two reports drew different episodes, their two intervals are disjoint instead.
+- The data show that a violation probability is larger. If both reports ran the same episodes, the interval of
+  the paired difference lies above zero. If the episodes differ, the intervals of the two reports are
+  disjoint.
 """
 
 from __future__ import annotations
@@ -58,9 +58,10 @@ FORMAT = "safety-harness delta 1"
 
 @dataclass(frozen=True)
 class ClaimChange:
-    """A claim with another status or another target; None stands for a claim that the plan does not have.
+    """A claim whose status or target differs.
 
-    ``stratum`` is empty if the status is the status over all strata.
+    A status or target is None if the plan does not have the claim. ``stratum`` is empty if the status refers
+    to the claim over all strata.
     """
 
     sentence: str
@@ -75,7 +76,9 @@ class ClaimChange:
 class BoundChange:
     """A bound that differs between two reports.
 
-    ``worse`` or ``better`` is true if the data show it, by the method in ``how``. Both may be false.
+    ``worse`` is true if the data show that the bound got worse. ``better`` is true if the data show that the
+    bound got better. ``how`` states the method of comparison. If the data show no change, ``worse`` and
+    ``better`` are both false.
     """
 
     sentence: str
@@ -89,7 +92,10 @@ class BoundChange:
 
 @dataclass(frozen=True)
 class CarriedPart:
-    """A part of the earlier evidence: whether it also applies to the later system, and the reason ``why``."""
+    """A part of the earlier evidence, and whether it also applies to the later system.
+
+    ``why`` states the reason.
+    """
 
     what: str
     carries: bool
@@ -100,8 +106,9 @@ class CarriedPart:
 class EvidenceDelta:
     """The comparison of two evidence reports.
 
-    ``before`` and ``after`` have each folder's name and the root of its rows. ``bases`` are the basis lines
-    of both reports. ``reworded`` has each finding that is still open with other numbers, as (before, after).
+    ``before`` and ``after`` each have the name of a report's folder and the root hash of the report's rows.
+    ``bases`` are the basis lines of both reports. If a finding is still open and the numbers in its text have
+    changed, ``reworded`` has the pair (earlier text, later text).
     """
 
     format: str
@@ -212,10 +219,10 @@ def delta_between(
         old: The evidence of the earlier report.
         new: The evidence of the later report.
         names: The names of the two folders.
-        identities: The inputs that the runs of each report depend on.
+        identities: The inputs on which the runs of each report depend.
         paired: For each (claim, stratum), the interval of the difference in the violation probability, later
-            minus earlier, as (lower end, upper end, confidence). Without an entry, the two intervals of the
-            claim are compared instead.
+            minus earlier, as (lower end, upper end, confidence). If there is no entry, the two intervals of
+            the claim are compared instead.
 
     Returns:
         The comparison.
@@ -253,7 +260,10 @@ def delta_between(
 
 
 def _named(evidence: Evidence, edition: int) -> Evidence:
-    """Return ``evidence`` with its claims in today's words; edition 1 assumed hands at WALKING_MPS."""
+    """Return ``evidence`` with its claims in the words of the present catalogue.
+
+    In edition 1, protective separation assumed that hands move at WALKING_MPS.
+    """
     kept = ProtectiveSeparation().sentence
     now = ProtectiveSeparation(hand_speed_mps=WALKING_MPS).sentence
 
@@ -269,7 +279,10 @@ def _claims_by(evidence: Evidence) -> dict[str, ClaimEvidence]:
 
 
 def _claims(old: Evidence, new: Evidence) -> Iterator[ClaimChange]:
-    """Yield each claim whose target or whose status, in a stratum or as a whole, differs."""
+    """Yield each claim whose target or status differs.
+
+    The status is compared in each stratum, and over all strata.
+    """
     targets = [{claim.sentence: claim.target for claim in each.claims} for each in (old, new)]
     earlier, later = (_standings(each) for each in (old, new))
     for sentence, stratum in dict.fromkeys([*earlier, *later]):
@@ -280,7 +293,10 @@ def _claims(old: Evidence, new: Evidence) -> Iterator[ClaimChange]:
 
 
 def _standings(evidence: Evidence) -> dict[tuple[str, str], ClaimStatus]:
-    """Return the status of each claim in each stratum, and as a whole (with an empty stratum)."""
+    """Return the status of each claim in each stratum, and over all strata.
+
+    The key of a status over all strata has an empty stratum.
+    """
     whole = {(claim.sentence, ""): claim.standing for claim in evidence.claims}
     return whole | {key: result.standing for key, result in _outcomes(evidence).items()}
 
@@ -302,15 +318,17 @@ def _lost(old: Evidence, new: Evidence) -> Iterator[str]:
             yield f"{sentence}, {stratum}: shown before, now {state}"
     for sentence, claim, later in both(_claims_by(old), claims):
         lost = claim and claim.standing is ClaimStatus.SHOWN is not (later and later.standing)
+        # A claim that is listed for a stratum is not listed for the whole plan again.
         if lost and later and sentence not in listed:
             yield f"{sentence}: shown before, now {later.standing.value}: {later.why}"
 
 
 def _unasked(old: Evidence, new: Evidence) -> Iterator[tuple[tuple[str, str], str]]:
-    """Yield, by (claim, stratum), each claim that was not shown before and that the later plan avoids.
+    """Yield each claim that was not shown before and that the later plan avoids.
 
-    Before, its status was neither SHOWN nor ESTIMATED. Now its claim or its stratum is gone, or it has the
-    status SHOWN in another space.
+    Each item consists of the pair (claim, stratum) and the reason. In the earlier report, the claim was not
+    SHOWN and not ESTIMATED. The later plan lacks the claim or the stratum, or shows the claim in another
+    space.
     """
     later, claims = _outcomes(new), _claims_by(new)
     spaces = [{stratum.name: stratum.space_sha256 for stratum in each.strata} for each in (old, new)]
@@ -327,7 +345,10 @@ def _unasked(old: Evidence, new: Evidence) -> Iterator[tuple[tuple[str, str], st
 
 
 def _loosened(old: Evidence, new: Evidence) -> Iterator[str]:
-    """Yield a lower confidence, and each larger target if the claim no longer meets its earlier target."""
+    """Yield a text if the confidence is lower.
+
+    Also yield a text for each larger target if the claim no longer meets its earlier target.
+    """
     if new.plan.confidence < old.plan.confidence:
         lower, higher = percent(new.plan.confidence), percent(old.plan.confidence)
         yield f"the bounds hold with {lower} confidence, {higher} before"
@@ -342,7 +363,10 @@ def _loosened(old: Evidence, new: Evidence) -> Iterator[str]:
 
 
 def _paired(first: Ledger, second: Ledger) -> Paired:
-    """Return interval and confidence of each paired difference; empty if the ledgers have other episodes."""
+    """Return the interval and the confidence of each paired difference.
+
+    The result is empty if the ledgers have different episodes.
+    """
     try:
         compared = compare_ledgers(first, second)
     except (LedgerError, StatisticsError):
@@ -359,6 +383,7 @@ def _bounds(old: Evidence, new: Evidence, paired: Paired) -> Iterator[BoundChang
             continue
         worse = better = False
         how = "a bound in one report only"
+        # The same episodes in both reports: their pairs cancel what the episodes have in common.
         if was and now and key in paired:
             low, high, confidence = paired[key]
             worse, better = low > 0.0, high < 0.0
@@ -380,7 +405,7 @@ def _worse_words(row: BoundChange) -> str:
 
 
 def interval(bound: Bound | None) -> str:
-    """Return both ends of ``bound`` in words."""
+    """Return a text with both ends of ``bound``."""
     return NONE if bound is None else f"{at_least(bound.lower)} to {at_most(bound.upper)}"
 
 
@@ -411,7 +436,8 @@ def _findings(
     """Return the opened, the closed and the reworded findings.
 
     A finding on a claim is identified by the claim. Any other finding is identified by its text without the
-    numbers. A finding on an ``unasked`` claim, or on a stratum that is gone, does not count as closed.
+    numbers. If a finding concerns an ``unasked`` claim or a stratum that no longer exists, the finding is not
+    reported as closed.
     """
     gone = {stratum.name for stratum in old.strata} - {stratum.name for stratum in new.strata}
     left = (*(f"claim {claim} " for claim, _ in unasked), *(f"{name}: " for name in gone))
@@ -432,8 +458,12 @@ def _findings(
 
 
 def _open_in(evidence: Evidence) -> dict[str, tuple[int, str]]:
-    """Return the severity and text of each finding, by a key that does not depend on its numbers."""
+    """Return a mapping from a key of each finding to its severity and its text.
+
+    The key of a finding does not depend on the numbers in its text.
+    """
     claims = {f"claim-{item.number}": item for item in evidence.claims}
+    # The longest name first, because one name may begin another.
     strata = sorted((item.name for item in evidence.strata), key=len, reverse=True)
     findings: dict[str, tuple[int, str]] = {}
     times: Counter[str] = Counter()
@@ -443,13 +473,17 @@ def _open_in(evidence: Evidence) -> dict[str, tuple[int, str]]:
         name = next((f"{name}: " for name in strata if item.text.startswith(f"{name}: ")), "")
         rest = item.text.removeprefix(name)
         key = f"claim {claim.sentence}" if claim else name + _QUOTED_OR_NUMBER.sub(r"\1", rest)
+        # Several findings may have the same key; their numbers tell them apart.
         times[key] += 1
         findings[f"{key} {times[key]}"] = severity, item.text
     return findings
 
 
 def _carried(old: Evidence, new: Evidence, was: Identity, now: Identity) -> Iterator[CarriedPart]:
-    """Yield whether each stratum's runs, the proofs and the self-test also apply to the later system."""
+    """Yield each part of the earlier evidence, and whether it also applies to the later system.
+
+    The parts are the runs of each stratum, the proofs and the self-test.
+    """
     earlier = {item.name: item for item in old.strata}
     everywhere = [
         f"the {name.replace('_', ' ')} changed"
@@ -481,9 +515,9 @@ def _carried(old: Evidence, new: Evidence, was: Identity, now: Identity) -> Iter
 
 
 def _of_stratum(identity: Identity, stratum: str, foreign: set[str]) -> Identity:
-    """Return the part of ``identity`` on which the runs of ``stratum`` depend.
+    """Return the entries of ``identity`` on which the runs of ``stratum`` depend.
 
-    It excludes the ``foreign`` files: the plan's own file and the spaces of other strata.
+    The result excludes the ``foreign`` files, which are the plan's own file and the spaces of other strata.
     """
     mine = f"{SYSTEM} in {stratum}"
     return Identity(

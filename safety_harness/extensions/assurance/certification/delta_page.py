@@ -18,18 +18,20 @@ PAGE, JSON = "delta.html", "delta.json"
 def folder_of_delta(report: Path) -> Path:
     """Return the folder for a comparison, which lies beside the folder ``report``.
 
-    Inside the report, it would contain files that the manifest does not list.
+    Inside the report, the folder would contain files that the manifest does not list.
     """
     return report.with_name(f"{report.name}.delta")
 
 
 def write_delta(folder: Path, delta: EvidenceDelta, *, command: str, generated_at: datetime) -> None:
-    """Write the page and the JSON of a comparison; a failure leaves no partial file.
+    """Write the page and the JSON of a comparison.
+
+    If the function fails, it leaves no partial file.
 
     Args:
         folder: The folder of both files.
         delta: The comparison.
-        command: The command that makes the comparison again, for the page.
+        command: The command that makes the comparison again. The page shows this command.
         generated_at: The time that the page states.
 
     Raises:
@@ -45,7 +47,10 @@ def write_delta(folder: Path, delta: EvidenceDelta, *, command: str, generated_a
 
 
 def render(delta: EvidenceDelta, *, command: str, generated_at: datetime) -> str:
-    """Return the page of ``delta`` as text, with the ``command`` that makes it again and ``generated_at``."""
+    """Return the page of ``delta`` as text.
+
+    The page states the time ``generated_at``, and the ``command`` that creates the page again.
+    """
     return render_page(
         "delta.html.j2",
         package="safety_harness.extensions.assurance",

@@ -1,4 +1,7 @@
-"""Differences between two evidence reports except results: software, system, settings, plan, space, files."""
+"""Find the differences between two evidence reports, except differences in results.
+
+The differences concern the software, system, settings, plan, space and files.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,10 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class PartChange:
-    """A changed part of the software, the system or the plan; ``NONE`` stands for a missing part."""
+    """A changed part of the software, the system or the plan.
+
+    ``NONE`` is the value of a missing part.
+    """
 
     part: str
     name: str
@@ -27,19 +33,25 @@ class PartChange:
 
 
 def both(old: Mapping[str, T], new: Mapping[str, T]) -> Iterator[tuple[str, T | None, T | None]]:
-    """Yield each key of ``old`` or ``new`` with its two values; None for a missing key."""
+    """Yield each key of ``old`` or ``new`` with its two values.
+
+    If a mapping lacks the key, the value for this mapping is None.
+    """
     for name in dict.fromkeys([*old, *new]):
         yield name, old.get(name), new.get(name)
 
 
 def proofs_in(evidence: Evidence) -> dict[str, str]:
-    """Return the verdict on each proven claim of ``evidence``, by the claim's sentence and region."""
+    """Return the verdict on each proven claim of ``evidence``.
+
+    The key of a verdict has the claim's sentence and region.
+    """
     claims = evidence.proven.claims if evidence.proven else ()
     return {f"{claim.claim}, {claim.region}": claim.verdict for claim in claims}
 
 
 def parts_changed(old: Evidence, new: Evidence) -> Iterator[PartChange]:
-    """Yield every part that differs between ``old`` and ``new`` and is no result of runs."""
+    """Yield every part that differs between ``old`` and ``new`` and is not a result of runs."""
     for part, read in _PARTS.items():
         for name, was, now in both(read(old), read(new)):
             if was != now:
@@ -91,7 +103,7 @@ def _hazards(evidence: Evidence) -> dict[str, str]:
 
 
 def _learned(evidence: Evidence) -> dict[str, str]:
-    """Return each stratum's distance from the training data, and the statements on the learned part."""
+    """Return the distance of each stratum from the training data, and the statements on the learned part."""
     if evidence.learned is None:
         return {}
     return dict(evidence.learned.life) | {row.stratum: _distance(row) for row in evidence.learned.strata}

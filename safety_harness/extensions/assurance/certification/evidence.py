@@ -2,8 +2,8 @@
 
 The types define three things: the JSON, the reader of the JSON, and its schema.
 
-Numbers are in SI. Each probability refers to a violation in a run that put the claim to the test. An unknown
-value is None or an empty tuple, never a number.
+Numbers are in SI. Each probability is the probability of a violation in a run that tests the claim. An
+unknown value is None or an empty tuple, never a number.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Bound:
 
     @property
     def of_one_end(self) -> float:
-        """The confidence with which either end holds alone."""
+        """The confidence with which each end of the interval holds by itself."""
         return 1.0 - (1.0 - self.confidence) / 2.0
 
 
@@ -107,7 +107,7 @@ class ClaimResult:
 
     @property
     def tested(self) -> int:
-        """The number of runs that put the claim to the test, with any outcome."""
+        """The number of runs that exercise the claim, whatever their outcome."""
         return self.runs - self.untested
 
 
@@ -186,7 +186,10 @@ class HazardEvidence:
 
     @property
     def met(self) -> bool | None:
-        """True if every rate meets the required rate; None if that rate, a claim or a bound is missing."""
+        """True if every rate meets the required rate.
+
+        None if the required rate, a claim or a bound is missing.
+        """
         if self.asked_an_hour is None or not self.claims or len(self.rates) < len(self.claims):
             return None
         return all(rate.an_hour <= self.asked_an_hour for rate in self.rates)
@@ -526,7 +529,10 @@ class Evidence:
 
     @property
     def fallback(self) -> str:
-        """How often the fallback stood in for the avoider, for headlines; empty if it never did."""
+        """A text for headlines on how often the fallback replaced the avoider.
+
+        The text is empty if the fallback never replaced the avoider.
+        """
         decisions = [pair for stratum in self.strata for pair in stratum.decisions]
         unanswered = sum(count for kind, count in decisions if kind == UNANSWERED)
         return fallback_words(unanswered, sum(count for kind, count in decisions if kind != UNANSWERED))
@@ -538,13 +544,16 @@ class Evidence:
 
     @property
     def simulator(self) -> str:
-        """The user's simulator that made the runs, in words; empty for a world of ours."""
+        """The user's simulator that made the runs, as text.
+
+        The text is empty if a built-in world made the runs.
+        """
         world = world_labelled(self.plan.world)
         return str(world) if world is not None and world.program else ""
 
     @property
     def basis(self) -> str:
-        """What the verdicts rest on: world, exercised runs, exclusions and assumptions."""
+        """A text on the basis of the verdicts: world, exercised runs, exclusions and assumptions."""
         world = f"the {self.plan.world} world" if self.plan.model_only else self.plan.world
         counts = [
             (sum(row.tested - row.failed for row in claim.outcomes), sum(row.runs for row in claim.outcomes))
@@ -562,7 +571,10 @@ SEVERITY = list(ClaimStatus)
 
 
 def by_severity(claims: Iterable[ClaimEvidence]) -> list[ClaimEvidence]:
-    """Return ``claims``, the most severe status first, and of equal status the largest bound first."""
+    """Return ``claims`` in the order of severity, beginning with the most severe status.
+
+    If two claims have the same status, the claim with the larger bound comes first.
+    """
 
     def key(claim: ClaimEvidence) -> tuple[int, float]:
         bounds = [outcome.bound.upper for outcome in claim.outcomes if outcome.bound is not None]
@@ -586,16 +598,17 @@ def as_text(evidence: Evidence) -> str:
 
 
 def read_evidence(path: Path) -> Evidence:
-    """Read a report that ``as_text`` wrote, in this or an earlier version.
+    """Read a report that ``as_text`` of this version or of an earlier version wrote.
 
     Args:
-        path: The file, evidence.json of a report's folder.
+        path: The file evidence.json in a report's folder.
 
     Returns:
-        The evidence; a field that an earlier version did not write has its default.
+        The evidence. A field that an earlier version did not write has its default value.
 
     Raises:
-        InputError: The file is no evidence report, or a field is wrong; the error has its place.
+        InputError: The file is no evidence report, or a field is wrong. The error states the place of the
+            field.
 
     """
     document = of_format(read_json(path, "an evidence report"), FORMAT, path)
@@ -611,7 +624,8 @@ def read_evidence(path: Path) -> Evidence:
 def _as_now(document: dict[str, Any]) -> dict[str, Any]:
     """Return the JSON of an earlier version, converted to the fields of this version.
 
-    An earlier version recorded only the avoider and the robot of the system, or no parts beside it.
+    Earlier versions recorded only the avoider and the robot of the system, or omitted the safety filter and
+    the predictor.
     """
     whole = {name: getattr(Evidence, name) for name in LATER} | document
     known, system = whole.get("credibility"), whole.get("system")

@@ -28,7 +28,7 @@ TERM_INKS = {
 
 
 def bounds_figure(claim: ClaimEvidence) -> str:
-    """Return the SVG of a claim's target and of its bounds in each stratum; empty if there is no bound.
+    """Return the SVG of a claim's target and of its bounds in each stratum, or "" if there is no bound.
 
     A bound is an interval of the violation probability.
     """
@@ -58,7 +58,10 @@ def bounds_figure(claim: ClaimEvidence) -> str:
 
 
 def _lanes(names: list[str]) -> tuple[Picture, Axes]:
-    """Return a picture, and its axes with a lane for each of ``names``, from the top down."""
+    """Return a picture and its axes.
+
+    The axes have a lane for each of ``names``, from the top down.
+    """
     count = len(names)
     picture = Picture(WIDTH_PX, ABOVE_PX + LANE_PX * count + BELOW_PX)
     axes = picture.axes(LEFT_PX, ABOVE_PX, WIDTH_PX - LEFT_PX - 20.0, LANE_PX * count)
@@ -70,9 +73,9 @@ def _lanes(names: list[str]) -> tuple[Picture, Axes]:
 
 
 def _show_shares(axis: Axis, share: float) -> float:
-    """Make ``axis`` logarithmic from ``share`` or less up to 1, and return its lower end.
+    """Give ``axis`` a logarithmic scale that ends at 1, and return the value at its lower end.
 
-    The lower end is at most a tenth, so that the axis has a length.
+    The lower end is at most ``share`` and at most 0.1, so that the axis has a positive length.
     """
     decades = [10.0**k for k in range(min(int(np.floor(np.log10(share))), -1), 1)]
     axis.log, axis.ticks = True, [(decade, percent(decade)) for decade in decades]
@@ -81,7 +84,10 @@ def _show_shares(axis: Axis, share: float) -> float:
 
 
 def _least_shown(outcome: ClaimResult) -> float:
-    """Return the least positive value to draw: the lower bound, the share, or a tenth of the upper bound."""
+    """Return the least positive value to draw.
+
+    This value is the lower bound, the fraction of violations, or a tenth of the upper bound.
+    """
     assert outcome.bound is not None
     share = outcome.violated / outcome.tested if outcome.tested else 0.0
     known = [value for value in (outcome.bound.lower, share) if value > 0.0]
@@ -89,9 +95,9 @@ def _least_shown(outcome: ClaimResult) -> float:
 
 
 def _interval(axes: Axes, lane: int, outcome: ClaimResult, low: float) -> None:
-    """Draw a bar from the lower to the upper bound, and a dot at the share of violations.
+    """Draw a bar from the lower to the upper bound, and a dot at the fraction of violations.
 
-    If the lower bound is below ``low``, the left end of the axis, an arrow points to the left.
+    The axis begins at ``low``. If the lower bound is below ``low``, an arrow points to the left.
     """
     assert outcome.bound is not None
     start, end = max(outcome.bound.lower, low), outcome.bound.upper
@@ -105,9 +111,9 @@ def _interval(axes: Axes, lane: int, outcome: ClaimResult, low: float) -> None:
 
 
 def margins_figure(claim: ClaimEvidence) -> str:
-    """Return the SVG of a claim's margins, one curve for each stratum; empty if there are no margins.
+    """Return the SVG of a claim's margins with one curve per stratum, or "" if there are no margins.
 
-    At each margin, a curve shows the share of runs with no larger margin.
+    At each margin, a curve shows the fraction of runs whose margin is not larger.
     """
     rows = [outcome for outcome in claim.outcomes if outcome.margins_si]
     if not rows:
@@ -137,7 +143,7 @@ def margins_figure(claim: ClaimEvidence) -> str:
 
 
 def separation_figure(cases: tuple[SeparationCase, ...]) -> str:
-    """Return the SVG of the protective separation distance in each case: its terms, and the real distance.
+    """Return an SVG with the terms of the protective separation distance and the real distance in each case.
 
     The text is empty if there are no ``cases``.
     """

@@ -65,6 +65,7 @@ def write_folder(folder: Path, gathered: GatheredEvidence, ledger: Ledger) -> Ev
     try:
         _clear(folder)
         guard = ReportGuard()
+        # The copies come first, because the evidence lists their hashes.
         guard.run("the copy of the plan", lambda: unpacked(ledger.files, folder / PLAN), Path())
         guard.run("the copies of opened files", lambda: _pack_opened(folder / OPENED, ledger), None)
         guard.run("the copies of traces", lambda: write_traces(gathered.examples, folder), None)
@@ -73,6 +74,7 @@ def write_folder(folder: Path, gathered: GatheredEvidence, ledger: Ledger) -> Ev
         texts[JUNIT] = guard.run(JUNIT, lambda: junit_xml(evidence), "")
         evidence = replace(evidence, findings=(*evidence.findings, *guard.findings))
         texts[PAGE], evidence = drawn(evidence, gathered.runs)
+        # The evidence comes after the page, because drawing may add findings.
         for name, text in {JSON: as_text(evidence), **texts}.items():
             write_whole(folder / name, text)
     except OSError as error:
@@ -81,7 +83,10 @@ def write_folder(folder: Path, gathered: GatheredEvidence, ledger: Ledger) -> Ev
 
 
 def _pack_opened(folder: Path, ledger: Ledger) -> None:
-    """Copy the files that programs opened, each named by its hash, unless they are too large together."""
+    """Copy the files that programs opened, unless their total size is too large.
+
+    The name of each copy is the hash of the file.
+    """
     own = ledger.declared.plan_file.parent
     there = {sha256: own / name for name, sha256 in ledger.opened.items() if is_file_of(own / name, sha256)}
     if there and sum(file.stat().st_size for file in there.values()) <= MOST_OPENED_BYTES:
@@ -96,18 +101,20 @@ def is_file_of(path: Path, sha256: str) -> bool:
 
 
 def put_back_opened(report: Path, plan: Path, root: Path, ledger: Ledger) -> None:
-    """Copy the files that programs opened during the runs to their places beside the unpacked ``plan``.
+    """Restore the files that programs opened during the runs.
 
-    The files come from the report, or from a folder beside the report that the user fills.
+    Each file is copied to its place beside the unpacked ``plan``. The files come from the report, or from a
+    folder beside the report that the user fills.
 
     Args:
         report: The report's folder.
         plan: The plan's file, unpacked below ``root``.
         root: The only folder that may receive files.
-        ledger: The ledger, which has the names and hashes.
+        ledger: The ledger, which has the names and hashes of these files.
 
     Raises:
-        InputError: A file is missing, or another file is in its place; the error states its hash and place.
+        InputError: A file is missing, or a different file has the same path. The error states the hash and
+            the place of the file.
 
     """
     for name, sha256 in ledger.opened.items():
@@ -129,7 +136,7 @@ def put_back_opened(report: Path, plan: Path, root: Path, ledger: Ledger) -> Non
 
 
 def argument_texts(evidence: Evidence) -> dict[str, str]:
-    """Return the texts of the argument's files, by the names of the files."""
+    """Return a mapping from the name of each file of the argument to its text."""
     return {GSN: gsn_text(evidence, PAGE), NOTES: notes_text(evidence)}
 
 
@@ -141,15 +148,16 @@ def _clear(folder: Path) -> None:
         earlier = {}
     (folder / PDF).unlink(missing_ok=True)
     (folder / MANIFEST).unlink(missing_ok=True)
+    # Remove only what a manifest lists: other files in the folder may be the user's.
     for name in earlier:
         if name.startswith((f"{PLAN}/", f"{OPENED}/")):
             (folder / name).unlink(missing_ok=True)
 
 
 def write_manifest(folder: Path, files: Iterable[StoredFile]) -> None:
-    """Write the hashes of all files in ``folder``, as the last step, after the ledger is closed.
+    """Write the hashes of all files in ``folder``.
 
-    ``files`` already have their hashes.
+    Call this function last, after the ledger is closed. The hashes of ``files`` are already known.
 
     Raises:
         OutputError: The manifest cannot be written.
@@ -169,7 +177,8 @@ def read_manifest(folder: Path) -> dict[str, str]:
     """Return the path and the hash of every file that the manifest in ``folder`` lists.
 
     Raises:
-        InputError: The folder is no report, or its manifest has other fields or files outside of the folder.
+        InputError: The folder is no report, or its manifest has an unknown field or lists a file outside of
+            the folder.
 
     """
     file = folder / MANIFEST
@@ -182,6 +191,7 @@ def read_manifest(folder: Path) -> dict[str, str]:
     hashes = typed(document.get("sha256"), dict[str, str], file, where="sha256")
     root = resolved(folder)
     for name in hashes:
+        # A stranger's manifest must not make the program read files outside the folder.
         plain = "\0" not in name and ".." not in Path(name).parts and Path(name).as_posix() == name
         if not plain or root not in resolved(folder / name).parents:
             raise InputError(place=place, expected="files below the report's folder", got=repr(name)[:120])
@@ -211,7 +221,7 @@ _NOT_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def junit_xml(evidence: Evidence) -> str:
-    """Return the claims of ``evidence`` as JUnit XML, for machines that gate on tests.
+    """Return the claims of ``evidence`` as JUnit XML, for tools that accept or reject a build by its tests.
 
     A stratum is a suite, and a claim is a case. Only a claim with the status SHOWN passes. A refuted claim is
     a failure. A claim without a target is a failure if it was violated, and is skipped otherwise. Every other
@@ -239,12 +249,13 @@ def _case(suite: ElementTree.Element, claim: ClaimEvidence, outcome: ClaimResult
     )
     if outcome.standing is not ClaimStatus.SHOWN:
         _not_passed(case, outcome)
+    # A reader of one case then sees the basis of this claim in this stratum alone.
     only = replace(evidence, claims=(replace(claim, outcomes=(outcome,)),))
     ElementTree.SubElement(case, "system-out").text = _xml_text(only.basis)
 
 
 def _not_passed(case: ElementTree.Element, outcome: ClaimResult) -> None:
-    """Add the element failure, error or skipped to the case of a claim that does not pass."""
+    """Add an XML element ``failure``, ``error`` or ``skipped`` to the case of a claim that does not pass."""
     untargeted = "failure" if outcome.violated else "skipped"
     tag = {ClaimStatus.REFUTED: "failure", ClaimStatus.ESTIMATED: untargeted}.get(outcome.standing, "error")
     element = ElementTree.SubElement(case, tag, message=_xml_text(f"{outcome.standing.value}: {outcome.why}"))
@@ -283,9 +294,10 @@ def write_pdf(page: Path, path: Path) -> None:
 
     Raises:
         InputError: No browser is installed.
-        OutputError: The browser failed; the error has its last message.
+        OutputError: The browser failed. The error has the last message of the browser.
 
     """
+    # A profile of its own: with the user's profile, a browser that already runs would take over the command.
     with tempfile.TemporaryDirectory() as profile:
         command = [
             browser(),

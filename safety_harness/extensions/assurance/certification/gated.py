@@ -1,7 +1,7 @@
-"""Check whether a gate takes answers only to questions in the region of a certificate.
+"""Check that a gate accepts answers only to queries in the region of a certificate.
 
-The check covers the strata that ask the network of the certificate. It compares exactly the boxes under the
-key ``questions within`` of ``gate``.
+The check covers the strata whose avoider uses the network of the certificate. The boxes that a gate declares
+under the key ``questions within`` are compared exactly.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ AXES = tuple(f"{who} {axis}" for who in ("hand", "TCP") for axis in "xyz")
 def gate_words(plan: Plan, network_sha256: str, region: ProofRegion) -> tuple[str, ...]:
     """Return a line for each group of strata that have the same result.
 
-    A stratum that asks another network is in no group.
+    A stratum whose avoider uses another network is in no group.
 
     Args:
         plan: The plan with the strata.
@@ -39,7 +39,7 @@ def gate_words(plan: Plan, network_sha256: str, region: ProofRegion) -> tuple[st
 
 
 def _of_stratum(stratum: Stratum, region: ProofRegion) -> str:
-    """Return the result of the check for the gate of ``stratum``, in words."""
+    """Return a text with the result of the check for the gate of ``stratum``."""
     gate = stratum.space.simplest.gate
     if any(parameter.name.startswith("gate") for parameter in stratum.space.parameters):
         return "the gate varies from run to run, and was not compared with this region."
@@ -52,10 +52,10 @@ def _of_stratum(stratum: Stratum, region: ProofRegion) -> str:
 
 
 def outside_words(allowed: AskedRegion, region: ProofRegion) -> str:
-    """Return which questions in a gate's region ``allowed`` lie outside of the proof's ``region``.
+    """Describe the queries in a gate's region ``allowed`` that lie outside the proof's ``region``.
 
-    The text is empty if there are no such questions. The function compares the boxes first, then the
-    distances from hand to TCP.
+    The text is empty if there are no such queries. The function compares the boxes first, then the distances
+    from hand to TCP.
     """
     low = np.array([*allowed.hand.low_m, *allowed.tcp.low_m])
     high = np.array([*allowed.hand.high_m, *allowed.tcp.high_m])

@@ -99,7 +99,10 @@ class GatheredEvidence:
 
     @property
     def runs(self) -> dict[int, JudgedRun]:
-        """The runs of those counterexamples that have pictures, by the counterexamples' numbers."""
+        """The runs of the counterexamples that have pictures.
+
+        The key of a run is the number of its counterexample.
+        """
         return {item.shown.number: item.run for item in self.examples if item.shown.number <= MOST}
 
 
@@ -113,16 +116,18 @@ def gather(
     declaration: str = "",
     guard: ReportGuard | None = None,
 ) -> GatheredEvidence:
-    """Return the evidence from the ledger, the searches, and some runs that this function repeats.
+    """Return the evidence of a plan.
+
+    The function reads the ledger and the searches, and repeats some runs.
 
     Args:
         plan: The plan.
-        ledger: The open ledger of its runs.
+        ledger: The open ledger of the plan's runs.
         folder: The report's folder, with the searches below it.
         command: The command that makes the report again.
-        trials: The self-test, oracles and recorded cells; the default has no such file.
-        declaration: The hash of the plan's declaration; empty without a declaration.
-        guard: Has the findings of earlier failures; None: no earlier failure.
+        trials: The self-test, oracles and recorded cells. The default has no such files.
+        declaration: The hash of the plan's declaration, or an empty string if the plan was not declared.
+        guard: A guard with the findings of earlier failures. The default guard has no findings.
 
     """
     guard = guard or ReportGuard()
@@ -157,21 +162,22 @@ def put_together(
 ) -> GatheredEvidence:
     """Return the evidence that follows from the ledger, the searches, and the given parts.
 
-    For the parts that only ``certify`` knows, ``verify`` passes the recorded parts.
+    Only ``certify`` knows some of the given parts. For these parts, ``verify`` passes the values that the
+    report states.
 
     Args:
         plan: The plan.
-        ledger: The open ledger of its runs.
+        ledger: The open ledger of the plan's runs.
         folder: The report's folder, with the searches below it.
         trials: The self-test, oracles and recorded cells.
-        declaration: The hash of the plan's declaration; empty without a declaration.
+        declaration: The hash of the plan's declaration, or an empty string if the plan was not declared.
         origin: The origin of the report.
-        believe: Returns the evidence on the simulator.
-        blame: Returns the causes of the violations.
-        proven: The confirmed proofs; None without a certificate.
+        believe: A function that returns the evidence on the simulator.
+        blame: A function that returns the causes of the violations.
+        proven: The confirmed proofs, or None without a certificate.
         notes: The author's notes.
-        explain: Adds an attribution to the counterexamples.
-        guard: Its findings become findings of the report; None: a new guard.
+        explain: A function that adds an attribution to the counterexamples.
+        guard: A guard whose findings become findings of the report. The default is a new guard.
 
     """
     guard = guard or ReportGuard()
@@ -218,6 +224,7 @@ def put_together(
         notes=notes,
         learned=guard.run("the account of the learned part", lambda: learned_of(plan, ledger, stored), None),
     )
+    # Findings may concern any part of the evidence, so they are added last.
     untried = guard.run("the list of what no run tried", lambda: untried_in(plan, stored), [])
     limited = guard.run("the count of limited commands", lambda: limited_in(plan, stored), [])
     doubted = [line for line in limited if AS_MEANT in line]
@@ -232,7 +239,7 @@ def put_together(
 
 
 def _files(stored: Sequence[Stored]) -> tuple[tuple[str, str], ...]:
-    """Return the compiled files that the stored runs executed, with their hashes."""
+    """Return the compiled files that were executed in the stored runs, with their hashes."""
     files = dict.fromkeys(file for item in stored for file in item.trace.provenance.files)
     return tuple((name, f"sha256 {sha256}") for name, sha256 in files)
 
@@ -280,7 +287,7 @@ def _origin(plan: Plan, ledger: Ledger, folder: Path, command: str) -> Origin:
 
 
 def libraries_of(ledger: Ledger) -> tuple[tuple[str, str], ...]:
-    """Return the libraries, with their versions, of the declared runs in ``ledger``."""
+    """Return the libraries and their versions, as used for the declared runs in ``ledger``."""
     prefix = "the library "
     parts = ledger.declared.identity.parts
     named = ((name.removeprefix(prefix), text) for name, text in parts if name.startswith(prefix))
@@ -288,7 +295,7 @@ def libraries_of(ledger: Ledger) -> tuple[tuple[str, str], ...]:
 
 
 def sessions_of(ledger: Ledger) -> tuple[str, str, float]:
-    """Return when the first session in ``ledger`` began, all machines, and the total time of runs (s)."""
+    """Return the start of the first session in ``ledger``, the machines, and the total run time [s]."""
     sessions = list(ledger.all("SELECT began, machine, workers FROM session ORDER BY id"))
     ((spent_s,),) = ledger.all("SELECT coalesce(sum(seconds), 0.0) FROM episode")
     machines = dict.fromkeys(f"{machine}; {workers} workers" for _, machine, workers in sessions)

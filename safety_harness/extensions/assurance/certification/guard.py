@@ -17,12 +17,17 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class ReportGuard:
-    """A guard that runs the parts of a report; ``findings`` has the failed parts and the reasons."""
+    """A guard that runs the steps of making a report.
+
+    ``findings`` has the failed steps and the reasons.
+    """
 
     findings: list[OpenFinding] = field(default_factory=list)
 
     def run(self, part: str, make: Callable[[], T], otherwise: Any) -> T:
-        """Return the result of ``make``; if it fails, record a finding on ``part`` and return ``otherwise``.
+        """Return the result of ``make``.
+
+        If ``make`` fails, record a finding that ``part`` failed, and return ``otherwise``.
 
         Raises:
             LedgerError: The ledger cannot be read, so that no report is possible.

@@ -1,9 +1,10 @@
-"""The plan's hazards with their hourly bounds: a rate for each claim under each hazard.
+"""The plan's hazards with hourly bounds.
 
-A rate is the product of two upper bounds. The first bounds the number of approaches in an hour, and the
-second the probability of a violation in a run. Every approach counts as a run that puts the claim to the
-test. The product uses the largest bound per run of all strata. So the rate holds for every mixture of strata
-in an hour. ``extensions.assurance.statistics.rates`` explains how the bounds share the error.
+There is a rate of violations for each claim under each hazard. A rate is the product of two upper bounds. The
+first bound is for the number of approaches in an hour, and the second bound is for the violation probability
+per run. Every approach is treated as a run that tests the claim. The product uses the largest bound per run
+of all strata. Therefore the rate holds for every mixture of strata in an hour.
+``extensions.assurance.statistics.rates`` explains how the error is divided among the bounds.
 """
 
 from __future__ import annotations
@@ -26,7 +27,10 @@ def hazards_of(plan: Plan, ledger: Ledger) -> tuple[HazardEvidence, ...]:
 
 
 def _worst(plan: Plan, ledger: Ledger, claim: int, rated: set[str]) -> tuple[float, str] | None:
-    """Return the largest upper bound of ``claim`` over the strata, and its stratum; None without a bound."""
+    """Return the largest upper bound of ``claim`` over the strata, and its stratum.
+
+    Return None if there is no bound.
+    """
     rated_claims = [item for item in plan.claims if rated & set(item.hazards)]
     if plan.claims[claim] not in rated_claims or ledger.dependent:
         return None

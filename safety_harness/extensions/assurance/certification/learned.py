@@ -1,4 +1,7 @@
-"""The learned part of the system in a report: training, distance of the strata from it, and service."""
+"""The learned part of the system, as a report describes it.
+
+The report states the training, the distance of the strata from the training data, and the service.
+"""
 
 from __future__ import annotations
 
@@ -68,13 +71,13 @@ _CELLS = (
 
 
 def learned_of(plan: Plan, ledger: Ledger, stored: Sequence[Stored]) -> LearnedPart | None:
-    """Return the learned part of a plan's system; None if no part under test can be learned.
+    """Return the learned part of a plan's system, or None if no part under test is learned.
 
     Any user's program may have a learned part. A shipped avoider without a network has no learned part.
 
     Args:
         plan: The plan.
-        ledger: The open ledger of its runs.
+        ledger: The open ledger of the plan's runs.
         stored: The stored random runs.
 
     """
@@ -100,7 +103,7 @@ def _is_network(scenario: Scenario) -> bool:
 
 
 def _training_facts(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """Yield a label and a text on the training of a part that has no model card."""
+    """If a part has no model card, yield a label and a text about the training of the part."""
     reference = scenario.under_test
     if is_a_program(reference):
         yield f"{reference}, whether learned", PROGRAM

@@ -1,4 +1,4 @@
-"""The evidence as a self-contained HTML page, both for a quick look and for a day of study."""
+"""Write the evidence as a self-contained HTML page, which serves a quick reader and a thorough reader."""
 
 from __future__ import annotations
 
@@ -70,24 +70,31 @@ MOST_PRINTED, MOST_PRINTED_CLAIMS, MOST_PRINTED_ROWS = 3, 4, 25
 
 
 def _meanings(evidence: Evidence) -> dict[ClaimStatus, str]:
-    """Return the meaning of each status, and of the fallback if the system has an avoider."""
+    """Return the meaning of each status.
+
+    If the system has an avoider, the meaning of the status DOUBTED also mentions the fallback.
+    """
     stood_in = ", or about the fallback in the avoider's place" if evidence.system.asks else ""
     return MEANINGS | {ClaimStatus.DOUBTED: MEANINGS[ClaimStatus.DOUBTED] + stood_in}
 
 
 def render(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> str:
-    """Return the page of ``evidence`` and ``runs`` from ``drawn``; equal arguments give equal bytes."""
+    """Return only the page from the result of ``drawn``.
+
+    Equal arguments give equal bytes.
+    """
     return drawn(evidence, runs)[0]
 
 
 def drawn(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> tuple[str, Evidence]:
     """Return the page as text, and the evidence with a finding for each part that could not be drawn.
 
-    The page loads no data over the network.  If the whole page fails, its text is the JSON.
+    The page loads no data over the network. If the whole page cannot be drawn, the result is a page that
+    shows only the JSON.
 
     Args:
         evidence: The evidence.
-        runs: The runs of counterexamples, by their numbers.
+        runs: The run of each counterexample, by the number of the counterexample.
 
     """
     guard = ReportGuard()
@@ -100,7 +107,10 @@ def drawn(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> tuple[str, Evide
 
 
 def _page(evidence: Evidence, runs: Mapping[int, JudgedRun], guard: ReportGuard) -> str:
-    """Return the page; if a picture fails, it is empty, and ``guard`` records a finding."""
+    """Return the page.
+
+    If a picture cannot be drawn, the picture is empty and ``guard`` records a finding.
+    """
 
     def picture(name: str, draw: Callable[[], str]) -> Markup:
         return Markup(guard.run(f"the picture of {name}", draw, ""))
@@ -161,7 +171,7 @@ def _page(evidence: Evidence, runs: Mapping[int, JudgedRun], guard: ReportGuard)
 
 
 def _counts(evidence: Evidence) -> list[tuple[str, str, list[ClaimEvidence]]]:
-    """Return (words, class, claims) for each of the four numbers at the top of the page."""
+    """Return a triple (label, CSS class, claims) for each of the four numbers at the top of the page."""
     open_ones = (ClaimStatus.NOT_SHOWN, ClaimStatus.INCOMPLETE, ClaimStatus.ESTIMATED, ClaimStatus.DOUBTED)
     return [
         (label, css, [claim for claim in by_severity(evidence.claims) if claim.standing in statuses])
@@ -175,7 +185,10 @@ def _counts(evidence: Evidence) -> list[tuple[str, str, list[ClaimEvidence]]]:
 
 
 def _answer(evidence: Evidence) -> str:
-    """Return a sentence with the result; claims with the most severe status come first and decide."""
+    """Return a sentence with the result.
+
+    Claims with the most severe status come first, and decide the status of the plan.
+    """
     standings = [claim.standing for claim in evidence.claims]
     parts = (f"{standings.count(kind)} {kind.value}" for kind in reversed(SEVERITY) if kind in standings)
     claims = "the plan's one claim" if len(standings) == 1 else f"{len(standings)} claims"
@@ -183,9 +196,9 @@ def _answer(evidence: Evidence) -> str:
 
 
 def _by_gravity(evidence: Evidence) -> list[OpenFinding]:
-    """Return the findings, the most severe finding first.
+    """Return the findings in the order of severity, beginning with the most severe finding.
 
-    A finding that concerns no claim comes between the statuses NOT_SHOWN and DOUBTED.
+    A finding that concerns no claim is placed between the statuses NOT_SHOWN and DOUBTED.
     """
     grave = {f"claim-{item.number}": SEVERITY.index(item.standing) for item in evidence.claims}
     beside = SEVERITY.index(ClaimStatus.NOT_SHOWN) - 0.5
@@ -193,7 +206,7 @@ def _by_gravity(evidence: Evidence) -> list[OpenFinding]:
 
 
 def _proven(evidence: Evidence) -> list[tuple[CertifiedClaim, str, list[tuple[str, Markup]]]]:
-    """Return each claim of the certificate with its state and its maps."""
+    """Return a triple (claim, state, maps) for each claim of the certificate."""
     claims = () if evidence.proven is None else evidence.proven.claims
     return [
         (claim, STATES.get(claim.verdict, "inconclusive"), list(drawn_maps(claim.maps, f"proven-{number}-")))
@@ -204,7 +217,10 @@ def _proven(evidence: Evidence) -> list[tuple[CertifiedClaim, str, list[tuple[st
 def _counterexample(
     met: CounterexampleEvidence, run: JudgedRun | None, replays: Replays, guard: ReportGuard
 ) -> dict[str, object]:
-    """Return a counterexample with its pictures; if no trace is stored, there are no pictures."""
+    """Return a counterexample with its pictures.
+
+    If no trace is stored, there are no pictures.
+    """
     none: dict[str, object] = {"run": None, "moment": ""}
     if run is None or len(run.trace.ticks) == 0:
         return {"one": met} | none

@@ -1,7 +1,7 @@
-"""The proofs about the avoider's network, beside the results of runs: a certificate and its check.
+"""The proofs about the avoider's network, which a report shows beside the results of runs.
 
-The certificate and the network are files in the report's folder. The report quotes the independent checker
-(``extensions.lab.proof.check``).
+A proof consists of a certificate and its check. The certificate and the network are files in the report's
+folder. The report quotes the independent checker (``extensions.lab.proof.check``).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class CertifiedNetwork:
     network: bytes
 
     def write(self, folder: Path) -> None:
-        """Write both files into a report's ``folder``.
+        """Write the certificate and the network into a report's ``folder``.
 
         Raises:
             OutputError: A file cannot be written.
@@ -74,7 +74,7 @@ def read_certified(file: Path, plan: Plan) -> CertifiedNetwork:
 
 
 def networks_of(plan: Plan) -> list[bytes]:
-    """Return the contents of the network files that the plan's strata ask."""
+    """Return the contents of the network files that the avoiders of the plan's strata use."""
     scenarios = (plan.with_avoider(stratum.space.simplest) for stratum in plan.strata)
     files = dict.fromkeys(map(network_file_of, scenarios))
     return [_bytes(file) for file in files if file is not None]
@@ -84,7 +84,7 @@ def stored_proof(folder: Path, plan: Plan) -> CertifiedProofs | None:
     """Check the certificate in a report's ``folder`` again, and compare its regions with the plan's gates.
 
     Returns:
-        The confirmed proofs; None without a certificate.
+        The confirmed proofs, or None without a certificate.
 
     Raises:
         InputError: The checker does not confirm the certificate.
@@ -110,7 +110,7 @@ def without_proof(folder: Path) -> None:
 def evidence_of(certified: CertifiedNetwork, file: Path) -> tuple[CertifiedProofs, tuple[ProofRegion, ...]]:
     """Check the certificate in ``certified``, and return its claims and the region of each claim.
 
-    Errors name ``file``, from which the certificate came.
+    The errors state ``file``, which is the source of the certificate.
 
     Raises:
         InputError: The checker does not confirm the certificate.

@@ -1,4 +1,4 @@
-"""Tables of the plan's results: verdicts, hazards with their rates, results by stratum, overruling."""
+"""Tables of the plan's verdicts, hazards, hazard rates, results by stratum and overruled proposals."""
 
 from __future__ import annotations
 
@@ -37,21 +37,24 @@ from safety_harness.report.words import with_minus
 
 
 def margin_words(margin_si: float | None, claim: ClaimEvidence) -> str:
-    """Return ``margin_si`` (SI) with its sign, in the claim's unit; a dash if it is None."""
+    """Return ``margin_si`` (SI) with its sign and in the claim's unit, or a dash if it is None."""
     if margin_si is None:
         return DASH
     return with_minus(shown_margin(margin_si * claim.per_si, claim.unit))
 
 
 def at_least_words(margin_si: float, claim: ClaimEvidence) -> str:
-    """Return ``margin_si`` (SI), a lower limit of a margin, in the claim's unit, rounded down."""
+    """Return ``margin_si`` in the claim's unit, rounded down.
+
+    The value is in SI and is a lower limit of a margin.
+    """
     shown, unit = shown_unit(margin_si * claim.per_si, claim.unit)
     digit = 0.1 if abs(shown) >= 1.0 else 10.0 ** (math.floor(math.log10(max(abs(shown), 1e-300))) - 2)
     return with_minus(shown_margin(math.floor(shown / digit + 1e-9) * digit, unit))
 
 
 def verdicts(evidence: Evidence) -> CellTable:
-    """Return the table on the first page: every claim with verdict, bound, number of tests, and hazard."""
+    """Return the table on the first page: each claim with its verdict, bound, number of tests, and hazard."""
     return table_of(
         "All claims over all strata of the plan, the gravest first: the largest upper bound, and the counts "
         "of all strata together. Each number leads to its rows. The report claims no performance level.",
@@ -88,7 +91,7 @@ def _upper(claim: ClaimEvidence) -> TableCell:
 
 
 def _tested(claim: ClaimEvidence) -> TableCell:
-    """Return a cell with the number of runs that put ``claim`` to the test."""
+    """Return a cell with the number of runs that test ``claim``."""
     tested = sum(outcome.tested for outcome in claim.outcomes)
     runs = sum(outcome.runs for outcome in claim.outcomes)
     return number(f"{tested} of {runs} runs", tested, _row(claim, 0) if runs else "")
@@ -110,7 +113,10 @@ def hazards(evidence: Evidence) -> CellTable:
 
 
 def rates(evidence: Evidence) -> CellTable:
-    """Return the table of hourly bounds for each claim under each hazard with a rate of approaches."""
+    """Return the table of the hourly bounds of all claims.
+
+    A hazard appears in the table if it has a rate of approaches.
+    """
 
     def asked_cell(row: HazardEvidence) -> TableCell:
         return number(DASH if row.asked_an_hour is None else f"{row.asked_an_hour:g}", row.asked_an_hour)
@@ -149,7 +155,10 @@ def rates(evidence: Evidence) -> CellTable:
 
 
 def results(evidence: Evidence) -> CellTable:
-    """Return the table of every claim in every stratum, the most severe claim first."""
+    """Return the table with a row for each claim in each stratum.
+
+    The claim with the most severe status comes first.
+    """
     known = confidence_alone(evidence)
     rows = [(row, k, part) for row in by_severity(evidence.claims) for k, part in enumerate(row.outcomes)]
     return table_of(
@@ -175,7 +184,10 @@ def results(evidence: Evidence) -> CellTable:
 
 
 def confidence_alone(evidence: Evidence) -> str:
-    """Return the confidence with which each interval holds alone; all intervals share the error equally."""
+    """Return the confidence with which each interval holds by itself.
+
+    The error is divided equally among all intervals.
+    """
     bounds = (outcome.bound for claim in evidence.claims for outcome in claim.outcomes)
     return next((confidence_words(bound.confidence) for bound in bounds if bound), "")
 
@@ -188,7 +200,7 @@ def _bounds(outcome: ClaimResult | OverrulingResult) -> TableCell:
 
 
 def quantiles(claim: ClaimEvidence) -> CellTable:
-    """Return the table of the margins of ``claim`` that large shares of the runs keep."""
+    """Return the table of the margins of ``claim`` that most runs reach or exceed."""
     return table_of(
         "Margins that most runs keep.",
         [(outcome.stratum, quantile) for outcome in claim.outcomes for quantile in outcome.quantiles],

@@ -1,8 +1,9 @@
-"""The results of a report, computed from its ledger: claims with their bounds, strata with their counts.
+"""Compute the results of a report from its ledger: the bounds of each claim and the counts of each stratum.
 
-The report has both ends of each bound, for each claim in each stratum. All ends hold together with the plan's
-confidence, because ``ends_of`` ends share the error. *Shown* depends on upper ends, and *refuted* on lower
-ends. The margins that come from order statistics do not share this error. Each of them holds alone, with the
+For each claim in each stratum, the report has an interval with two ends. The error is divided among all these
+ends, whose number ``ends_of`` returns. Therefore all ends hold simultaneously with the plan's confidence. The
+status *shown* depends on the upper ends, and the status *refuted* on the lower ends. The bounds of margins
+come from order statistics and use no part of this error. Each of these bounds holds by itself, with the
 confidence of one interval.
 """
 
@@ -53,7 +54,10 @@ MOST_POINTS = 240  # points of a curve
 
 
 def refuse_hopeless(plan: Plan) -> None:
-    """Raise InputError if the plan's runs cannot show a target; it states the required number of runs."""
+    """Raise InputError if the plan's runs cannot show a target.
+
+    The error states the required number of runs.
+    """
     for claim in plan.claims:
         if claim.target is not None:
             for stratum in plan.strata:
@@ -80,7 +84,7 @@ def claims_of(plan: Plan, ledger: Ledger, stored: Sequence[Stored] = ()) -> tupl
 def _claim(
     plan: Plan, ledger: Ledger, stored: Sequence[Stored], place: int, claim: PlannedClaim
 ) -> ClaimEvidence:
-    """Return the evidence on ``claim``, which has the number ``place``."""
+    """Return the evidence on ``claim``, whose position in the plan is ``place`` (from 0)."""
     entry, _ = entry_claimed(claim.sentence) or (None, None)
     tracing = traced(entry)
     prop = property_of(claim.claim, plan.strata[0].space.simplest)
@@ -109,7 +113,7 @@ def _sentence(text: str) -> str:
 
 
 def _outcome(plan: Plan, ledger: Ledger, stored: Sequence[Stored], place: int, claim: int) -> ClaimResult:
-    """Return the result of the claim number ``claim`` in the stratum number ``place``."""
+    """Return the result of claim number ``claim`` in stratum number ``place``."""
     stratum, planned = plan.strata[place], plan.claims[claim]
     bound: Bound | None = None
     quantiles: tuple[Quantile, ...] = ()
@@ -167,9 +171,9 @@ def _outcome(plan: Plan, ledger: Ledger, stored: Sequence[Stored], place: int, c
 
 
 def _bound(sample: IndependentSample, plan: Plan) -> Bound | None:
-    """Return the bound from ``sample``; None if there is no trial.
+    """Return the bound from ``sample``, or None if there is no trial.
 
-    The bound shares the error with all other bounds of ``plan``.
+    The plan's error is divided among all bounds of ``plan``.
     """
     (raw,) = bounds_of([sample], plan.confidence, Sides.BOTH, family=bounds(plan))
     if not raw.trials:
@@ -178,10 +182,10 @@ def _bound(sample: IndependentSample, plan: Plan) -> Bound | None:
 
 
 def _curve(margins: Floats, without: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return ascending margins, and for each margin the share of runs with no larger margin.
+    """Return ascending margins and, for each margin, the fraction of runs whose margin is not larger.
 
-    A run without a verdict counts as if it had the least margin. The function keeps at most ``MOST_POINTS``
-    points, which are dense near the least margins.
+    A run without a verdict is treated as if it had the least margin. The function keeps at most
+    ``MOST_POINTS`` margins, most of which are near the least margin.
     """
     n = len(margins)
     if n == 0:
@@ -194,7 +198,10 @@ def _curve(margins: Floats, without: int) -> tuple[tuple[float, ...], tuple[floa
 
 
 def _quantiles(sample: IndependentSample, confidence: float) -> tuple[Quantile, ...]:
-    """Return the margins that certain shares of the runs keep; empty if the plan may stop early."""
+    """Return the margins that certain fractions of the runs keep.
+
+    The result is empty if the plan may stop early.
+    """
     if sample.declaration.stop_early:
         return ()
     limits = (tolerance_bound(sample, content, confidence) for content in CONTENTS)
@@ -212,13 +219,16 @@ _SUMS = (
 
 
 def strata_of(plan: Plan, ledger: Ledger) -> tuple[StratumResult, ...]:
-    """Return the results of each stratum of ``plan`` from ``ledger``."""
+    """Return the results that ``ledger`` has for each stratum of ``plan``."""
     hashes = {file.name: file.sha256 for file in ledger.files}
     return tuple(_stratum(plan, ledger, place, hashes) for place in range(len(plan.strata)))
 
 
 def _stratum(plan: Plan, ledger: Ledger, place: int, hashes: dict[str, str]) -> StratumResult:
-    """Return the results of stratum number ``place``; ``hashes`` has a hash for each file of the ledger."""
+    """Return the results of stratum number ``place``.
+
+    ``hashes`` maps the name of each file in the ledger to its hash.
+    """
     stratum = plan.strata[place]
     ((made, again, *counts, failed),) = ledger.all(_SUMS, place)
     stored = {episode: violation for where, episode, violation in ledger.traces() if where == place}
@@ -243,13 +253,13 @@ def _stratum(plan: Plan, ledger: Ledger, place: int, hashes: dict[str, str]) -> 
 def overruling_of(ledger: Ledger) -> tuple[OverrulingResult, ...]:
     """Return how often the gate overruled the avoider in each stratum of ``ledger``.
 
-    Each share has its own interval.
+    Each fraction has its own interval.
     """
     return tuple(_overruling(ledger, place, name) for place, name in enumerate(ledger.declared.strata))
 
 
 def _overruling(ledger: Ledger, place: int, stratum: str) -> OverrulingResult:
-    """Return how often the gate overruled the avoider in the stratum number ``place``."""
+    """Return how often the gate overruled the avoider in stratum number ``place``."""
     whole, bound = overruling_in(ledger, place), None
     some = (
         "SELECT count(*), coalesce(sum(overruled > 0), 0) FROM episodes WHERE stratum = ? AND proposals > 0"

@@ -1,8 +1,8 @@
-"""The hazard of each claim in the catalogue, and the terms of the standards to which the claim refers.
+"""The hazard of each claim in the catalogue, and the related terms of standards.
 
-These terms only help an assessor to find the way, and state no conformity. ``standards.yaml`` has the
-standards with their editions and the requirements that this report addresses. It also has the hazards with
-their claims.
+The terms only help an assessor to find related requirements. The terms do not state conformity.
+``standards.yaml`` has the standards with their editions and the requirements that this report addresses. The
+file also has the hazards with their claims.
 """
 
 from __future__ import annotations
@@ -24,10 +24,11 @@ TABLE, QUESTIONS_FILE = (Path(__file__).with_name(name) for name in ("standards.
 
 @dataclass(frozen=True, kw_only=True)
 class Requirement:
-    """A requirement of a standard (``asks``).
+    """A requirement of a standard.
 
-    ``here`` is the id of the page's part that addresses it; it is empty if no part does. ``means`` is the
-    answer of that part, or the missing work if ``here`` is empty.
+    ``asks`` is the text of the requirement. ``here`` is the id of the part of the page that addresses the
+    requirement. ``here`` is empty if no part addresses the requirement. ``means`` describes the answer in
+    this part. If ``here`` is empty, ``means`` describes the missing work instead.
     """
 
     asks: str
@@ -37,7 +38,10 @@ class Requirement:
 
 @dataclass(frozen=True, kw_only=True)
 class Standard:
-    """A document: ``name`` with its edition, subject ``about``, and the ``source`` of these statements."""
+    """A document.
+
+    ``name`` includes the edition, ``about`` is the subject, and ``source`` is the source of these statements.
+    """
 
     id: str
     name: str
@@ -51,7 +55,8 @@ class Standard:
 class Tracing:
     """A hazard, the terms of standards that belong to it, and the keys of the claims about it.
 
-    In the table, a term refers to its standard by ``id``; in ``TRACED`` it has the standard's name.
+    In ``standards.yaml``, a term refers to its standard by ``id``. In ``TRACED``, a term has the standard's
+    name.
     """
 
     hazard: str
@@ -61,7 +66,10 @@ class Tracing:
 
 @dataclass(frozen=True, kw_only=True)
 class StandardsTable:
-    """All standards and hazards; ``checked`` is the year and month when each status was last checked."""
+    """All standards and hazards.
+
+    ``checked`` is the year and month when each status was last checked.
+    """
 
     checked: str
     standards: tuple[Standard, ...]
@@ -88,9 +96,10 @@ OWN = Tracing(hazard="not stated by the plan: the claim is a formula of its auth
 
 @dataclass(frozen=True, kw_only=True)
 class AssessorQuestion:
-    """A question (``asks``) that an assessor by the standard ``of`` may have.
+    """A question that an assessor may have.
 
-    ``here`` and ``means`` are as in ``Requirement``.
+    ``asks`` is the question, and ``of`` is the standard that the assessor applies. ``here`` and ``means``
+    have the same meaning as in ``Requirement``.
     """
 
     of: str
@@ -103,11 +112,17 @@ QUESTIONS = _table(QUESTIONS_FILE, tuple[AssessorQuestion, ...])
 
 
 def standards_of(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
-    """Yield a line with the standards of the catalogue's ``entry``, for the description of the entry."""
+    """Yield a label, and a text that lists the standards for the catalogue's ``entry``.
+
+    The description of the entry shows both.
+    """
     terms = TRACED.get(entry.key, OWN).terms
     yield "standards", "; ".join(f"{term.standard}: {term.term}" for term in terms) or "none"
 
 
 def traced(entry: CatalogueEntry | None) -> Tracing:
-    """Return the hazard and the terms of a claim in the catalogue; ``entry`` is None for a formula."""
+    """Return the hazard and the terms of a claim in the catalogue.
+
+    For a formula, ``entry`` is None.
+    """
     return OWN if entry is None else TRACED.get(entry.key, OWN)

@@ -1,4 +1,7 @@
-"""The traces that a ledger keeps, and what the report derives from them besides the plan's claims."""
+"""Read the traces that a ledger keeps, and derive further parts of the report from them.
+
+These parts do not depend on the plan's claims.
+"""
 
 from __future__ import annotations
 
@@ -45,11 +48,13 @@ class Stored:
 
 
 def random_traces(plan: Plan, ledger: Ledger) -> tuple[list[Stored], list[str]]:
-    """Return the stored traces of the runs that the plan chose beforehand, and a reason for each failure.
+    """Return the stored traces of the runs that the plan chose beforehand.
+
+    Also return a reason for each trace that cannot be read.
 
     Args:
         plan: The plan.
-        ledger: The open ledger of its runs.
+        ledger: The open ledger of the plan's runs.
 
     """
     random = [random_episodes(plan, stratum) for stratum in range(len(plan.strata))]
@@ -69,7 +74,9 @@ def random_traces(plan: Plan, ledger: Ledger) -> tuple[list[Stored], list[str]]:
 
 
 def came_nearest(plan: Plan, stored: Sequence[Stored], stratum: int, claim: int) -> str:
-    """Return why the stored run in which a hand came nearest did not test a claim.
+    """Return the reason why no stored run of a stratum tested a claim.
+
+    The reason is stated for the stored run in which a hand came nearest.
 
     Args:
         plan: The plan.
@@ -89,10 +96,10 @@ def came_nearest(plan: Plan, stored: Sequence[Stored], stratum: int, claim: int)
 
 
 def untried_in(plan: Plan, stored: Sequence[Stored]) -> list[str]:
-    """Return a line for each part of a stratum of ``plan`` that no ``stored`` run tried.
+    """Return a line for each part of a stratum that no ``stored`` run tried.
 
-    The function also draws ``MOST_SUPPOSED`` scenarios, and supposes that the arm stands still. A part that
-    such a scenario would try counts as tried.
+    The function also draws ``MOST_SUPPOSED`` scenarios, and assumes that the arm does not move in these
+    scenarios. A part that such a scenario would try is treated as tried.
     """
     lines = []
     for number, stratum in enumerate(plan.strata):
@@ -101,6 +108,8 @@ def untried_in(plan: Plan, stored: Sequence[Stored]) -> list[str]:
         if tried.lines():
             start_m = traces[0].ticks["transform_tcp_to_base"][0, :3, 3]
             supposed = TriedParts()
+            # Only a few traces are stored: a part may be common in the space, and missing from them by
+            # chance.
             for scenario in stratum.space.draws(plan.seed, MOST_SUPPOSED):
                 supposed.suppose(scenario, start_m)
             for title, parts in supposed.parts.items():
@@ -110,7 +119,7 @@ def untried_in(plan: Plan, stored: Sequence[Stored]) -> list[str]:
 
 
 def limited_in(plan: Plan, stored: Sequence[Stored]) -> list[str]:
-    """Return how often limits and safety filters changed commands in the ``stored`` runs of each stratum."""
+    """Return lines that state, for each stratum, how often limits and safety filters changed a command."""
     lines = []
     for number, stratum in enumerate(plan.strata):
         traces = [run.trace for run in stored if run.stratum == number]
@@ -120,10 +129,10 @@ def limited_in(plan: Plan, stored: Sequence[Stored]) -> list[str]:
 
 
 def limited_lines(plan: Plan, ledger: Ledger) -> list[str]:
-    """Return the lines of ``limited_in`` on the stored random runs in ``ledger``.
+    """Return the result of ``limited_in`` for the stored random runs in ``ledger``.
 
-    Without a user's controller or safety filter, the result is empty and no trace is read. It is also empty
-    if the count fails, since the runs stay valid.
+    If the plan has no user's controller and no safety filter, the result is empty and no trace is read. The
+    result is also empty if the computation fails, because the runs remain valid.
     """
     simplest = [plan.with_avoider(stratum.space.simplest) for stratum in plan.strata]
     if not any(scenario.driven or scenario.safety_filter for scenario in simplest):
@@ -137,9 +146,10 @@ def judged_run(trace: Trace) -> JudgedRun:
 
 
 def separation_of(plan: Plan, stored: Sequence[Stored]) -> Iterator[SeparationCase]:
-    """Yield, for each stratum of ``plan``, the ``stored`` run with the least margin of protective separation.
+    """Yield the worst case of protective separation in each stratum of ``plan``.
 
-    For every hand, the claim assumes the speed of a reaching hand.
+    The case comes from the ``stored`` run with the least margin. For every hand, the claim assumes the speed
+    of a reaching hand.
     """
     prop = property_of(
         replace(plan.claims[0].claim, sentence=ProtectiveSeparation().sentence), plan.strata[0].space.simplest
@@ -193,7 +203,10 @@ _CELLS = (
 
 
 def coverage_of(ledger: Ledger) -> CoverageOfRuns:
-    """Return the coverage by all runs in ``ledger``; each run with a hand belongs to one cell."""
+    """Return the coverage by all runs in ``ledger``.
+
+    Each run with a hand belongs to one cell of the map.
+    """
     rows = [(labels.split(", "), int(runs), int(bad)) for labels, runs, bad in ledger.all(_CELLS)]
     cells = tuple(
         CellCount(*labels, runs=runs, violating=bad) for labels, runs, bad in rows if len(labels) == len(AXES)
@@ -212,7 +225,7 @@ def coverage_of(ledger: Ledger) -> CoverageOfRuns:
 
 
 def cells_of(coverage: CoverageOfRuns) -> tuple[Cells, dict[CoverageCell, int]]:
-    """Return the cells of the coverage map with all runs, and the number of violating runs in each cell."""
+    """Return the number of all runs and the number of violating runs in each cell of the coverage map."""
     cells, violating = Cells(without=coverage.without_hand), {}
     for item in coverage.cells:
         cell = CoverageCell(item.direction, item.speed, item.distance, item.seen, item.outcome)

@@ -1,4 +1,4 @@
-"""A description of the system under test: avoider with its card, gate, settings, robot, hashes."""
+"""A description of the system under test: avoider with its card, gate, settings, robot and hashes."""
 
 from __future__ import annotations
 
@@ -68,19 +68,22 @@ def system_of(plan: Plan, opened: Mapping[str, str]) -> SystemDescription:
 
 
 def _changed(scenario: Scenario) -> list[tuple[str, str, str]]:
-    """Return what differs from the defaults: settings, and the drives of a user's arm."""
+    """Return the settings that differ from the defaults, and the drives of a user's arm."""
     drives = drives_as_modelled(scenario.robot, scenario.settings.clock.control_period_s)
     return changed_settings(scenario.settings) + drives
 
 
 def model_of(scenario: Scenario) -> Model | None:
-    """Return the network of the avoider in ``scenario``; None if it is no file in this package's format."""
+    """Return the network of the avoider in ``scenario``.
+
+    Return None if the avoider is not a file in this package's format.
+    """
     file = network_file_of(scenario)
     return None if file is None else load_model(file)
 
 
 def card_of(model: Model) -> Iterator[tuple[str, str]]:
-    """Yield the statements that the file of ``model`` makes about itself."""
+    """Yield the statements on ``model`` that its own file contains."""
     yield "Network", f"{model.kind}, {model.members} member(s), dropout {model.dropout.value}"
     if model.passes > 1:
         yield "Passes", f"{model.passes}, dropout probability {model.dropout_probability:g}"
@@ -102,9 +105,9 @@ def card_of(model: Model) -> Iterator[tuple[str, str]]:
 
 
 def _datasheet(data: Mapping[str, Any], recipe: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield what the data set drawn by ``train`` contains, and what it lacks.
+    """Yield statements on the data set that ``train`` drew: its content and its gaps.
 
-    If a card lacks the values of a line, the line is omitted.
+    A line is omitted if the card lacks its values.
     """
     yield DATA + "a sample", "where one hand and the TCP are in the base frame; no image, person or motion"
     amount = "{tcps} TCPs, each with the same {hands} hands; split {split}, {training_samples} to learn from"
@@ -122,7 +125,7 @@ def _corner(point_m: tuple[float, ...]) -> str:
 
 
 def _plain(value: Any) -> str:
-    """Return ``value``, from a card, in words."""
+    """Return ``value``, which comes from a card, as text."""
     if isinstance(value, Mapping):
         return ", ".join(f"{str(name).replace('_', ' ')} {_plain(item)}" for name, item in value.items())
     if isinstance(value, list | tuple):
@@ -131,7 +134,10 @@ def _plain(value: Any) -> str:
 
 
 def _gate(settings: Settings, model: Model | None, *, named: bool) -> Iterator[tuple[str, str]]:
-    """Yield the gate's checks and limits; ``named`` is true if the avoider ships with the package."""
+    """Yield the gate's checks and limits.
+
+    ``named`` is true if the avoider ships with the package.
+    """
     avoidance = settings.avoidance
     checks = "finite, reachable, above the table"
     if avoidance.gate.value == "full":

@@ -34,7 +34,10 @@ class TableCell:
 
 @dataclass(frozen=True)
 class CellTable:
-    """A table; ``head`` names the columns, and the first cell of each row names the row."""
+    """A table.
+
+    ``head`` has the names of the columns, and the first cell of each row identifies the row.
+    """
 
     caption: str
     head: tuple[str, ...]
@@ -46,8 +49,9 @@ def table_of(caption: str, things: Iterable[T], columns: Mapping[str, Callable[[
 
     Args:
         caption: The text above the table.
-        things: The objects of the rows.
-        columns: For each column's name, a function that returns the cell of a thing.
+        things: The objects, one for each row.
+        columns: A mapping from the name of each column to a function, which returns the column's cell for an
+            object.
 
     """
     rows = tuple(tuple(cell(thing) for cell in columns.values()) for thing in things)
@@ -55,25 +59,34 @@ def table_of(caption: str, things: Iterable[T], columns: Mapping[str, Callable[[
 
 
 def text_cell(text: str, *, href: str = "", note: str = "", row: str = "") -> TableCell:
-    """Return a cell of ``text`` with a ``note``; it links to ``href``, and ``row`` is the id of its row."""
+    """Return a cell that contains ``text`` and the remark ``note``.
+
+    The cell links to ``href``, and ``row`` is the id of its row.
+    """
     return TableCell(text=text, href=href, note=note, row=row)
 
 
 def number(text: str, sort: float | None = None, href: str = "") -> TableCell:
-    """Return a cell of the number ``text``, sorted by ``sort``; it links to the counted items at ``href``."""
+    """Return a cell with the number ``text``.
+
+    The column of the cell is sorted by ``sort``. The cell links to the counted items at ``href``.
+    """
     return TableCell(text=text, number=True, sort="" if sort is None else repr(float(sort)), href=href)
 
 
 def count(value: int, href: str = "") -> TableCell:
-    """Return a cell of the whole number ``value``, which links to ``href`` unless the number is zero."""
+    """Return a cell with the whole number ``value``.
+
+    The cell links to ``href`` unless the number is zero.
+    """
     return number(f"{value:,}".replace(",", "\u202f"), value, href if value else "")
 
 
 def standing(value: ClaimStatus) -> TableCell:
-    """Return a cell of the claim status ``value``."""
+    """Return a cell with the claim status ``value``."""
     return TableCell(text=value.value, state=STATE[value])
 
 
 def millimetres(length_m: float) -> TableCell:
-    """Return a cell of ``length_m`` in mm."""
+    """Return a cell with ``length_m`` in mm."""
     return number(with_minus(f"{length_m * 1e3:.0f} mm"), length_m)

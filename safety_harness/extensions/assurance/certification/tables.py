@@ -1,4 +1,7 @@
-"""Every table of the evidence report by its name; this module defines the tables that show no results."""
+"""Define all tables of the evidence report. Each table has a name.
+
+This module defines the tables that show no results.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +43,7 @@ from safety_harness.search.coverage import AXES, SEEN
 
 
 def standards(evidence: Evidence) -> CellTable:
-    """Return the table of the standards with their status, and of the claims that refer to their terms."""
+    """Return the table of standards, each with its status and the claims that refer to its terms."""
     claims: dict[tuple[str, str], list[int]] = {}
     for claim in evidence.claims:
         for term in claim.terms:
@@ -69,7 +72,7 @@ _REQUIREMENTS = [(standard.name, item) for standard in STANDARDS.standards for i
 
 
 def missing(_: Evidence) -> CellTable:
-    """Return the table of the requirements that no part of this report addresses, by standard."""
+    """Return the table of requirements that no part of this report addresses, sorted by standard."""
     rows = [(name, row) for name, row in _REQUIREMENTS if not row.here]
     return table_of(
         f"{len(rows)} of {len(_REQUIREMENTS)} points are not covered here. "
@@ -84,7 +87,7 @@ def missing(_: Evidence) -> CellTable:
 
 
 def spoken_to(_: Evidence) -> CellTable:
-    """Return the table of the requirements that a part of this report addresses, by standard."""
+    """Return the table of requirements that some part of this report addresses, sorted by standard."""
     return table_of(
         "A part of this report that speaks to a requirement does not fulfil it.",
         [(name, row) for name, row in _REQUIREMENTS if row.here],
@@ -98,7 +101,7 @@ def spoken_to(_: Evidence) -> CellTable:
 
 
 def questions(_: Evidence) -> CellTable:
-    """Return the table of an assessor's questions, with the place of each answer."""
+    """Return the table of an assessor's questions, with a link to each answer."""
     return table_of(
         f"{len(QUESTIONS)} questions, {sum(not row.here for row in QUESTIONS)} of them not covered here.",
         QUESTIONS,
@@ -178,7 +181,10 @@ def calibration(evidence: Evidence) -> CellTable:
 
 
 def domain(evidence: Evidence) -> CellTable:
-    """Return the table of the operational domain: tried parts, untested parts, and parts outside."""
+    """Return the table of the operational domain.
+
+    The rows are the tried and the untested parts of the domain, and the parts outside of it.
+    """
     cells, _ = cells_of(evidence.coverage)
     rows = [("stratum", stratum.name, stratum.made, "in, ") for stratum in evidence.strata]
     rows += [(axis, label, runs, "") for axis in AXES for label, runs in cells.along(axis).items()]
@@ -235,7 +241,10 @@ def files(evidence: Evidence) -> CellTable:
 
 
 def agreement(known: WorldAgreement) -> CellTable:
-    """Return the table of the largest differences between the two worlds, from the agreement ``known``."""
+    """Return the table of the largest differences between the two worlds.
+
+    ``known`` is the measured agreement of the worlds.
+    """
     present = "this very source" if known.present else f"another source, {known.source_hash}"
     return table_of(
         f"The two worlds on the same {known.scenarios} scenarios, measured with {present}: "
@@ -266,9 +275,9 @@ def cell_lines(known: RecordedCell) -> CellTable:
 
 
 def rerun(known: Rerun) -> CellTable:
-    """Return the table of what changes if declared random runs are repeated with another step or world.
+    """Return the table of the changes that appear when declared random runs are repeated.
 
-    ``known`` has the results of these runs.
+    The repetition uses smaller physics steps or another world. ``known`` has its results.
     """
     return table_of(
         f"{count_words(known.runs, 'declared random run', 'declared random runs')} again "
@@ -280,7 +289,7 @@ def rerun(known: Rerun) -> CellTable:
 
 
 def oracles(known: Credibility) -> CellTable:
-    """Return the table of the parts that were compared with independent software, from ``known``."""
+    """Return the table of the parts in ``known`` that were compared with independent software."""
     return table_of(
         "Parts checked against independent software, with the largest disagreement seen "
         f"({known.oracles_measured_with}).",

@@ -1,6 +1,6 @@
 """Evidence on the tools: agreement of the worlds, step sizes, oracles, seeded faults, coverage.
 
-The results of the self-test (on seeded faults) and of the independent oracles come from files.
+The results of the self-test and of the independent oracles come from files. The self-test uses seeded faults.
 """
 
 from __future__ import annotations
@@ -80,9 +80,10 @@ class RecordedCell:
     present: bool
 
     def foreign_to(self, tested: Sequence[SystemUnderTest]) -> str:
-        """Return the differences between the cell's system and the nearest system in ``tested``, by hash.
+        """Return the differences between the cell's system and the nearest system in ``tested``.
 
-        The text is empty if the cell's system is in ``tested``.
+        Parts of a system are compared by their hashes. The text is empty if the cell's system is in
+        ``tested``.
         """
         own = self.comparison.system
         if own is None:
@@ -171,7 +172,7 @@ class SelfTest:
 
 @dataclass(frozen=True, kw_only=True)
 class HarnessTrials:
-    """The files on the harness itself that the user gave: self-test, oracles and recorded cells."""
+    """The user's files on the harness itself: self-test, oracles and recorded cells."""
 
     selftest: SelfTest | None = None
     oracles: tuple[Oracle, ...] = ()
@@ -243,7 +244,8 @@ def read_selftest(path: Path) -> SelfTest:
     """Read the self-test in ``path``, a selftest.json.
 
     Raises:
-        InputError: The file is no selftest.json, or the self-test has no fault; the error names the field.
+        InputError: The file is no selftest.json, or the self-test has no fault. The error states the wrong
+            field.
 
     """
     trial = typed(
@@ -270,7 +272,7 @@ def read_cell(path: Path) -> RecordedCell:
     """Read ``path``, a file that ``compare-worlds`` wrote.
 
     Raises:
-        InputError: The file is not from ``compare-worlds``.
+        InputError: ``compare-worlds`` did not write the file.
 
     """
     comparison = read_comparison(path)
@@ -282,7 +284,7 @@ def read_oracles(path: Path) -> tuple[Oracle, ...]:
     """Read ``path``, the table that ``make oracles`` writes.
 
     Raises:
-        InputError: The file is not from ``make oracles``.
+        InputError: ``make oracles`` did not write the file.
 
     """
     path = located(path)

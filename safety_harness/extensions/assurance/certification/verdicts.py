@@ -1,15 +1,15 @@
 """The status of a claim, derived from its bounds and from gaps in its evidence.  Only one status is green.
 
-In each stratum, a claim is *refuted* if even the lower bound exceeds the target. It is *shown* if the upper
-bound is at most the target. The upper bound counts runs without a verdict and unfinished runs as violations.
-Each of these conditions permits at best *shown with doubt*:
+In each stratum, a claim is *refuted* if even the lower bound exceeds the target. A claim is *shown* if the
+upper bound is at most the target. The upper bound treats unfinished runs, and runs without a verdict, as
+violations. If one of these conditions applies, the best possible status is *shown with doubt*:
 
-- Some run has no verdict.
+- A run has no verdict.
 - The runs are from the kinematic world only.
-- The fallback answered for the avoider throughout. Or it answered at times, and no claim of the plan covers
-  that.
+- The fallback answered instead of the avoider, either always, or sometimes although no claim of the plan
+  covers the fallback.
 - The gate overruled every proposal, so the avoider never acted.
-- Most answers took longer than the runs allow, so the runs are quicker than the system.
+- Most answers took longer than the runs allow, so the runs assume faster answers than the system gives.
 
 The status of a claim as a whole is the most severe status over its strata.
 """
@@ -52,21 +52,24 @@ def standing_of(
     """Return the status of a claim in a stratum, with the reason in a sentence.
 
     Args:
-        target: The allowed violation probability; None: the plan sets no target.
-        bound: The interval of the violation probability; None: there is no bound.
+        target: The allowed violation probability, or None if the plan sets no target.
+        bound: The interval of the violation probability, or None if there is no bound.
         runs: The number of runs in the ledger.
         planned: The number of declared runs.
-        tested: The number of runs that put the claim to the test.
-        violated: The number of runs that violate it.
+        tested: The number of runs that test the claim.
+        violated: The number of runs that violate the claim.
         without_verdict: The number of inconclusive and failed runs.
         may_stop_early: True if a stratum may end before its planned runs.
         world: The world of the runs.
         problem: The reason why there is no bound.
-        fallback: How often the avoider did not answer; empty if it always answered.
-        doubt: Why the runs show little of the avoider, as ``doubt_of`` says; empty if nothing does.
-        dependent: The reason why the runs are not independent; empty if they are.
+        fallback: A text that states how often the avoider did not answer, or an empty string if it always
+            answered.
+        doubt: The reason that ``doubt_of`` returned, or an empty string if there is no reason.
+        dependent: The reason why the runs are not independent, or an empty string if they are independent.
 
     """
+    # The order matters: without independent or complete runs, no bound has a meaning, and a refutation comes
+    # before each doubt.
     if dependent:
         return ClaimStatus.NOT_SHOWN, dependent
     if runs < planned and not may_stop_early:
@@ -99,13 +102,13 @@ def standing_of(
 
 
 def doubt_of(fallback: FallbackTally, overruled: Overruling, times: AnswersTook, *, claimed: bool) -> str:
-    """Return why the runs of a stratum show little of the avoider; empty without a reason.
+    """Return the reason why the runs of a stratum show little about the avoider, or "" if they show enough.
 
     Args:
-        fallback: How often the avoider did not answer.
-        overruled: How often the gate overruled its proposals.
-        times: How long its answers took.
-        claimed: Whether the plan has a claim on the fallback.
+        fallback: The counts that state how often the avoider did not answer.
+        overruled: The counts that state how often the gate overruled the avoider's proposals.
+        times: The times that the avoider's answers took.
+        claimed: Whether the plan has a claim about the fallback.
 
     """
     if fallback.unanswered and (fallback.unanswered == fallback.decisions or not claimed):
@@ -119,7 +122,7 @@ def doubt_of(fallback: FallbackTally, overruled: Overruling, times: AnswersTook,
 
 
 def worst_status(standings: Iterable[ClaimStatus]) -> ClaimStatus:
-    """Return the most severe of ``standings``; UNTESTED if there is no status."""
+    """Return the most severe of ``standings``, or UNTESTED if there is no status."""
     return max(standings, key=SEVERITY.index, default=ClaimStatus.UNTESTED)
 
 
@@ -137,7 +140,7 @@ def overall(outcomes: Sequence[ClaimResult]) -> tuple[ClaimStatus, str]:
 
 
 def percent(share: float) -> str:
-    """Return the probability ``share`` in per cent, with two or three significant digits.
+    """Return ``share`` as a percentage with two or three significant digits.
 
     A positive probability never becomes 0 %, and a probability below 1 never becomes 100 %.
     """
@@ -150,12 +153,12 @@ def percent(share: float) -> str:
 
 
 def at_most(share: float) -> str:
-    """Return the upper bound ``share`` in per cent, rounded up."""
+    """Return the upper bound ``share`` as a percentage, rounded up."""
     return f"{100.0 * float(rounded_up(share)):.3g} %"
 
 
 def beside_target(bound: Bound, target: float) -> tuple[str, str]:
-    """Return a target and an upper bound in per cent, with enough digits to show which number is larger."""
+    """Return a target and an upper bound as percentages, with enough digits to show which is larger."""
     limit, most = percent(target), at_most(bound.upper)
     shown, ends = float(limit[:-2]), (100.0 * bound.lower, float(most[:-2]))
     if (ends[0] > shown, ends[1] > shown) == (bound.lower > target, bound.upper > target):
@@ -169,17 +172,23 @@ def hourly(rate: float) -> str:
 
 
 def at_least(share: float) -> str:
-    """Return the lower bound ``share`` in per cent, rounded down."""
+    """Return the lower bound ``share`` as a percentage, rounded down."""
     return f"{100.0 * float(rounded_down(share)):.3g} %"
 
 
 def overruling_line(row: OverrulingResult) -> str:
-    """Return how often the gate overruled proposals in the stratum of ``row``, and in how many runs."""
+    """Return a line that states how often the gate overruled proposals in a stratum, and in how many runs.
+
+    ``row`` has the counts of this stratum.
+    """
     bound = row.bound
     ends = "" if bound is None else f" ({at_least(bound.lower)} to {at_most(bound.upper)}, 95 % alone)"
     return f"{row.stratum}: {row.words}; in {row.runs_overruled} of {row.runs} runs with a proposal{ends}"
 
 
 def confidence_words(confidence: float) -> str:
-    """Return a confidence in per cent, rounded down, because its error is rounded up."""
+    """Return a confidence in per cent.
+
+    The confidence is rounded down, because the complementary error must be rounded up.
+    """
     return f"{100.0 * (1.0 - float(rounded_up(1.0 - confidence))):.9g} %"

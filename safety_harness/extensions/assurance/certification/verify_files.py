@@ -38,10 +38,10 @@ MOST_NAMED = 10  # faults of an examination; a last line counts the rest
 
 @dataclass(frozen=True)
 class Examination:
-    """The subject of a check, and the faults that it found.
+    """The subject of a check, and the faults that the check found.
 
-    ``notes`` are no faults.  ``unchecked`` has the points that the check could not decide; each of them may
-    hide a fault.
+    ``notes`` has remarks that are not faults. ``unchecked`` has the points that the check could not decide.
+    Each of these points may hide a fault.
     """
 
     name: str
@@ -57,7 +57,7 @@ class Examination:
 
 
 def few(faults: Sequence[str]) -> tuple[str, ...]:
-    """Return the first ``faults``, and the number of all further faults."""
+    """Return the first few of ``faults``, and a text with the number of the remaining faults."""
     more = len(faults) - MOST_NAMED
     return (*faults[:MOST_NAMED], *([f"and {more} more"] if more > 0 else []))
 
@@ -144,13 +144,19 @@ class ReportFolder:
 
     @property
     def same(self) -> bool:
-        """True if source, libraries, networks and platform are unchanged; the plan's files may differ."""
+        """True if source, libraries, networks and platform are unchanged.
+
+        The plan's files may differ.
+        """
         changes = self.ledger.declared.identity.changes(self.plan.identity)
         return all(change.startswith("the file ") for change in changes)
 
     @property
     def same_words(self) -> bool:
-        """True if the source of this package is unchanged, since all words and pages depend on it alone."""
+        """True if the source of this package is unchanged.
+
+        The texts and pages depend only on this source.
+        """
         source = "the source of this package"
         return not any(
             item.startswith(source) for item in self.ledger.declared.identity.changes(self.plan.identity)
@@ -239,7 +245,7 @@ def _odd_rows(ledger: Ledger) -> Iterator[str]:
 def _not(table: str, **kinds: str) -> str:
     """Return an SQL query that counts the rows of ``table`` in which a column has a wrong type.
 
-    ``kinds`` has the allowed SQLite types of each column, separated by spaces.
+    For each column, ``kinds`` has the allowed SQLite types, separated by spaces.
     """
     tests = (
         f"typeof({column}) NOT IN ({', '.join(map(repr, kind.split()))})" for column, kind in kinds.items()
@@ -298,7 +304,10 @@ _ODD = {
 
 
 def kept(known: Plan, ledger: Ledger) -> Iterator[str]:
-    """Yield wrong seeds in ``ledger``, and missing or wrongly marked traces, as the plan ``known`` shows."""
+    """Yield each wrong seed in ``ledger``, and each trace that is missing or wrongly marked.
+
+    ``known`` is the declared plan.
+    """
     distinct = "SELECT DISTINCT stratum, episode FROM judgement WHERE outcome = ?"
     violating = set(ledger.all(distinct, int(EpisodeOutcome.VIOLATED)))
     every = "SELECT stratum, episode FROM judgement GROUP BY 1, 2 HAVING min(outcome) = ?"

@@ -1,11 +1,12 @@
 """Check that a report's statements follow from its ledger, and that its pages follow from its evidence.
 
-Some statements depend on the words of the catalogue, or on the last bits of a trace. These may differ if
-other software made the report; the check then states the difference. All other statements must be equal.
+Some statements depend on the words of the catalogue, or on the last bits of a trace. Such statements may
+differ if other software made the report, and the check then reports the difference. All other statements must
+be equal.
 
-The check compares the text of the page exactly: between tags, in drawings, in texts for screen readers. In
-plots, only the numbers that place things (``x``, ``y``, ``d``) may differ, by a tenth of a pixel. These
-numbers have one decimal, and the last bit of another processor can change it.
+The check compares all text of the page exactly, including the text in drawings and the text for screen
+readers. In plots, only coordinates (``x``, ``y``, ``d``) may differ, by at most a tenth of a pixel.
+Coordinates have one decimal, and a difference in the last bit on another processor can change this decimal.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ from safety_harness.scenario.files import read_bytes
 from safety_harness.scenario.typed_json import plain
 from safety_harness.trace.provenance import provenance
 
-LARGEST_PAGE_BYTES = 2**28
+LARGEST_PAGE_BYTES = 2**28  # 256 MiB: a limit of the memory for a damaged or forged report
 TOLERANCE_PX = 0.1  # a step of a coordinate's last decimal
 PROOF = (CERTIFICATE, NETWORK)
 _PLOT = re.compile(rb'<svg (?=[^<>]*role="img")(?![^<>]*"coverage-map-)')
@@ -94,7 +95,7 @@ _AROUND = 60  # letters shown before and after a difference
 def check_pages(report: ReportFolder, gathered: GatheredEvidence) -> Examination:
     """Make the page and the JUnit XML again from the evidence, and compare them with the files.
 
-    If other software made the report, a difference is no fault, but an unchecked point.
+    If other software made the report, a difference is an unchecked point instead of a fault.
 
     Args:
         report: The report.
@@ -132,9 +133,9 @@ def check_pages(report: ReportFolder, gathered: GatheredEvidence) -> Examination
 
 
 def differences(there: bytes, made: bytes) -> tuple[str, ...]:
-    """Return the lines in which the report's page ``there`` differs from the page ``made`` here.
+    """Return the lines in which the report's page ``there`` differs from ``made``, the page made here.
 
-    Numbers that place things may differ within the tolerance.
+    Coordinates may differ within the tolerance.
     """
     (text, places), (own_text, own_places) = _parted(there), _parted(made)
     if text != own_text:
@@ -146,7 +147,7 @@ def differences(there: bytes, made: bytes) -> tuple[str, ...]:
 
 
 def _parted(page: bytes) -> tuple[bytes, list[float]]:
-    """Return the page without the numbers that place things in plots, and these numbers."""
+    """Return the page without the coordinates in its plots, and these coordinates."""
     places: list[float] = []
 
     def number(match: re.Match[bytes]) -> bytes:
@@ -170,7 +171,7 @@ def _parted(page: bytes) -> tuple[bytes, list[float]]:
 
 
 def passed_in(junit: bytes) -> list[tuple[str, str]] | None:
-    """Return (stratum, claim) of each case in ``junit`` that passes; None if ``junit`` is no XML."""
+    """Return a pair (stratum, claim) for each passed case in ``junit``, or None if ``junit`` is no XML."""
     try:
         cases = ElementTree.fromstring(junit).iter("testcase")
         passed = (case for case in cases if _NOT_PASSED.isdisjoint(child.tag for child in case))
@@ -182,7 +183,7 @@ def passed_in(junit: bytes) -> list[tuple[str, str]] | None:
 def verdicts_in(page: bytes) -> list[bytes]:
     """Return the verdicts on ``page`` with their classes, and the numbers in the table and list of verdicts.
 
-    In every version of the software, these follow from the evidence by a rule.
+    In every version of the software, a rule derives these verdicts and numbers from the evidence.
     """
     badges = sorted(opening + text for opening, text in _texts(page, _VERDICT))
     table = _VERDICTS.search(page)
@@ -197,24 +198,28 @@ def verdicts_in(page: bytes) -> list[bytes]:
 
 
 def _answers(page: bytes) -> bytes:
-    """Return the list of answers at the top of ``page``; empty if there is no such list."""
+    """Return the list of answers at the top of ``page``, or empty bytes if there is no such list."""
     begin = page.find(_ANSWERS)
     end = page.find(b"</ul>", begin)
     return b"" if begin < 0 else page[begin : end if end >= 0 else len(page)]
 
 
 def _texts(page: bytes, openings: re.Pattern[bytes]) -> Iterator[tuple[bytes, bytes]]:
-    """Yield each match of ``openings``, and the text from there to its end; a text without an end is cut."""
+    """Yield each match of ``openings``, and the text from the match to the next closing tag.
+
+    A text without a closing tag is cut.
+    """
     for match in openings.finditer(page):
         some = page[match.end() : match.end() + _LONGEST_BADGE]
         yield match[1], _MARKUP.sub(b"", _CLOSING.split(some, maxsplit=1)[0])
 
 
 def _without_style(there: bytes, made: bytes) -> tuple[tuple[str, ...], bytes]:
-    """Return a remark if the style sheets differ, and the page ``there`` with the style sheet of ``made``.
+    """Replace the style sheet of the page ``there`` by the style sheet of ``made``.
 
-    The function replaces the style sheet only if everything before it is equal. In another place, a browser
-    might show the text instead of using it as a style sheet.
+    Return a remark if the style sheets differ, and the resulting page. The function replaces the style sheet
+    only if the parts of the pages before the style sheet are equal. If the parts before differ, a browser
+    might show the style sheet as text.
     """
     theirs, ours = _styled(there), _styled(made)
     if theirs is None or ours is None or theirs[0] != ours[0] or theirs[1] == ours[1]:
@@ -224,14 +229,17 @@ def _without_style(there: bytes, made: bytes) -> tuple[tuple[str, ...], bytes]:
 
 
 def _styled(page: bytes) -> tuple[bytes, bytes, bytes] | None:
-    """Return the parts of ``page`` before, in and after its first style sheet; None if it has no sheet."""
+    """Return the parts of ``page`` before, in and after its first style sheet.
+
+    Return None if the page has no style sheet.
+    """
     begin = page.find(b"<style>") + len(b"<style>")
     end = page.find(b"</style>", begin)
     return None if begin < len(b"<style>") or end < 0 else (page[:begin], page[begin:end], page[end:])
 
 
 def _shown(there: bytes, made: bytes) -> str:
-    """Return the text around the first difference, from both sides."""
+    """Return the text around the first difference between two lines, once from each line."""
     at = next((k for k, pair in enumerate(zip_longest(there, made)) if pair[0] != pair[1]), 0)
     theirs, ours = (
         line[max(at - _AROUND, 0) : at + _AROUND].decode("utf-8", "replace") for line in (there, made)
@@ -264,7 +272,10 @@ def written(text: str) -> bytes:
 
 
 def rewritten(text: bytes) -> str:
-    """Return a JSON text in the form that every version writes; its fields may be of an earlier version."""
+    """Return a JSON text in the form that every version writes.
+
+    The fields of the JSON may be of an earlier version.
+    """
     return json.dumps(json.loads(text), indent=1, ensure_ascii=False) + "\n"
 
 
@@ -278,11 +289,11 @@ CLOSE = 1e-9  # relative: the last digits depend on the version of scipy
 
 
 def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, GatheredEvidence]:
-    """Compute everything that follows from the ledger and the searches again, and compare it with the report.
+    """Recompute everything that follows from the ledger and the searches, and compare it with the report.
 
     Args:
         report: The report.
-        again: True: repeat the runs that test the simulator and attribute faults.
+        again: Whether to repeat the runs that test the simulator and the runs that attribute violations.
 
     Returns:
         The examination, and the evidence from the ledger.
@@ -343,7 +354,10 @@ def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, Ga
 
 
 def _as_recorded(recorded: Evidence, plan: Plan, met: Sequence[Example | str]) -> Iterator[Example | str]:
-    """Yield the counterexamples with the attribution in the report, which only repeated runs could find."""
+    """Yield the counterexamples, each with the attribution that the report states for it.
+
+    If no runs are repeated, the attribution cannot be computed again.
+    """
     lines_of = {item.trace_file: item.lines for item in recorded.counterexamples}
     for item in met:
         if isinstance(item, Example):
@@ -354,7 +368,10 @@ def _as_recorded(recorded: Evidence, plan: Plan, met: Sequence[Example | str]) -
 
 
 def check_proof(report: ReportFolder) -> Examination | None:
-    """Check the certificate again with the independent checker; None if the report has no certificate."""
+    """Check the certificate again with the independent checker.
+
+    Return None if the report has no certificate.
+    """
     recorded = report.recorded.proven
     faults: list[str] = []
     unchecked: list[str] = []
@@ -376,7 +393,10 @@ def check_proof(report: ReportFolder) -> Examination | None:
 
 
 def _origin(recorded: EvidenceProvenance, ledger: Ledger, *, same: bool) -> EvidenceProvenance:
-    """Return the report's origin as the ledger states it; time and command come from ``recorded``."""
+    """Return the report's origin as the ledger states it.
+
+    The time and the command are copied from ``recorded``.
+    """
     parts = dict(ledger.declared.identity.parts)
     began_at, machine, spent_s = sessions_of(ledger)
     return replace(
@@ -393,7 +413,7 @@ def _origin(recorded: EvidenceProvenance, ledger: Ledger, *, same: bool) -> Evid
 
 
 def _differences(then: Any, now: Any, place: str) -> Iterator[tuple[str, Any, Any]]:
-    """Yield each place where two documents differ, with the path to the innermost difference."""
+    """Yield each difference between two documents, with the path to the innermost value that differs."""
     if isinstance(then, dict) and isinstance(now, dict):
         for name in now:
             yield from _differences(then[name], now[name], f"{place}.{name}".lstrip("."))
@@ -408,7 +428,7 @@ def _differences(then: Any, now: Any, place: str) -> Iterator[tuple[str, Any, An
 
 
 def _is_close(then: object, now: object) -> bool:
-    """Return whether two margins with units differ only by what another processor's last bits may cause."""
+    """Return True if two margins with units differ only by rounding errors of another processor."""
     if not (isinstance(then, str) and isinstance(now, str)):  # lists of different lengths
         return False
     (value, *unit), (own, *own_unit) = (text.replace("\u2212", "-").split(" ", 1) for text in (then, now))
@@ -427,7 +447,7 @@ def _short(value: Any) -> str:
 
 
 def _files(report: ReportFolder) -> Iterator[str]:
-    """Yield differences between the manifest and the evidence's list of files, and edits of the evidence."""
+    """Yield each edit of the evidence, and each difference between its list of files and the manifest."""
     folder, recorded = report.folder, report.recorded
     listed = {item.path: item.sha256 for item in recorded.files}
     sizes = {name: (folder / name).stat().st_size for name in listed if (folder / name).is_file()}
@@ -441,7 +461,10 @@ def _files(report: ReportFolder) -> Iterator[str]:
 
 
 def _origin_faults(origin: EvidenceProvenance) -> Iterator[str]:
-    """Yield faults in statements that only the maker can know; they must have the form of ``certify``."""
+    """Yield faults in the statements about the origin that only the maker of the report can confirm.
+
+    These statements must have the form that ``certify`` writes.
+    """
     for command in (origin.command, *origin.commands):
         if not _is_ours(command):
             yield f"provenance has a command that certify does not write: {command[:80]}"
@@ -476,7 +499,7 @@ def _unread(evidence: Evidence, hashes: dict[str, str]) -> Iterator[str]:
 def _is_ours(command: str) -> bool:
     """Return whether ``command`` is a single command of this package, with plain or quoted words.
 
-    If so, a reader who pastes it into a shell runs nothing else.
+    If the result is True, a reader who pastes the command into a shell runs no other command.
     """
     try:
         argv = shlex.split(command)

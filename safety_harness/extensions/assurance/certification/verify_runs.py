@@ -46,11 +46,12 @@ COUNTS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faul
 
 @dataclass(frozen=True, kw_only=True)
 class Drawing:
-    """The number of runs to repeat: ``runs``, or so many that the chance to miss altered rows is ``miss``.
+    """The number of runs to repeat.
 
-    This is the chance to miss all altered rows, if a forger altered the fewest that change the weakest
-    verdict. ``seed`` draws the runs; the maker of the report cannot know it.  ``programs`` is true if
-    programs in the report may run.
+    The number is ``runs``, or is chosen so that altered rows are missed with probability ``miss``. ``miss``
+    is the probability of missing all altered rows, if a forger altered the fewest rows that change the
+    weakest verdict. The runs are drawn with ``seed``, which the maker of the report cannot know. ``programs``
+    is true if programs in the report may run.
     """
 
     runs: int | None
@@ -60,9 +61,10 @@ class Drawing:
     on_progress: Callable[[str], None] = lambda text: None
 
     def number(self, there: int, turns: Sequence[Turn]) -> int:
-        """Return how many of the runs ``there`` to repeat; by default, at most ``MOST_AGAIN``.
+        """Return how many of ``there`` runs must be repeated.
 
-        ``turns`` belong to all verdicts, the weakest verdict first.
+        If ``runs`` is None, the number is at most ``MOST_AGAIN``. ``turns`` has a turn for each verdict,
+        beginning with the verdict that is changed most easily.
         """
         if self.runs is not None:
             return min(self.runs, there)
@@ -71,16 +73,18 @@ class Drawing:
     def miss_chances(
         self, there: int, again: int, turns: Sequence[Turn], each_s: float
     ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Return how many altered rows change each verdict, the chance to miss them, and the open points.
+        """Return how many altered rows change each verdict, and with which probability the check misses them.
+
+        Also return the open points.
 
         Args:
             there: The number of runs in the ledger.
             again: The number of repeated runs.
-            turns: The turns of all verdicts, the weakest verdict first.
-            each_s: The time of a repeated run (s), to estimate the time of more runs.
+            turns: The turns of all verdicts, beginning with the verdict that is changed most easily.
+            each_s: The time that a repeated run took (s). It serves to estimate the time of more runs.
 
         Returns:
-            Notes, and points that stay unchecked because the chance exceeds ``miss``.
+            Notes, and points that stay unchecked because the probability exceeds ``miss``.
 
         """
         lines = [
@@ -109,7 +113,10 @@ def drawn(there: int, again: int, seed: int) -> list[int]:
 
 
 def _needed(there: int, turns: Sequence[Turn], miss: float) -> int:
-    """Return how many runs to repeat for the chance ``miss``; all runs if no verdict can change."""
+    """Return how many runs must be repeated so that altered rows are missed with probability ``miss``.
+
+    Return the number of all runs if no verdict can change.
+    """
     return runs_to_see(there, turns[0].rows, miss) if turns else there
 
 
@@ -122,7 +129,10 @@ def _span(time_s: float) -> str:
 
 
 def programs_in(plan: Plan) -> list[str]:
-    """Return the programs that a run of the plan may execute, wherever plan or spaces name them."""
+    """Return the programs that a run of the plan may execute.
+
+    The plan or any of its spaces may refer to such a program.
+    """
     texts = [plan.avoider or ""]
     simulators = {plan.world.label} if plan.world.program else set()
     for stratum in plan.strata:
@@ -139,9 +149,9 @@ class Compared:
     Outcomes must be equal, and margins must be equal within a tolerance. Everything else must be equal if the
     software is the same.
 
-    A ``program`` may import files that no hash covers. Therefore its runs must agree in only two things, on
-    which verdicts depend: the outcomes, and the number of unanswered questions. Further differences stay
-    unchecked.
+    A ``program`` may import files that no hash covers. Therefore, runs of a program must agree only in the
+    outcomes and in the number of unanswered queries. Verdicts depend only on these results. Further
+    differences are reported as unchecked.
     """
 
     def __init__(self, plan: Plan, ledger: Ledger, *, same: bool, program: bool = False) -> None:
@@ -215,12 +225,12 @@ class Compared:
             self.faults.append(f"{self.where(row.stratum, row.episode)}, its stored trace: {difference}")
 
     def where(self, stratum: int, episode: int) -> str:
-        """Return a name for a run: its stratum and ``episode``."""
+        """Return a name for a run, which consists of the name of its stratum and the number ``episode``."""
         return f"{self.plan.strata[stratum].name}, run {episode}"
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Differences that are no faults."""
+        """The number of differences of each kind that are not faults."""
         prefix = "with the same outcomes, but not the same"
         moved = self.moved - self.far if self.answers else self.moved
         otherwise = 0 if self.answers else self.otherwise
@@ -229,7 +239,10 @@ class Compared:
 
     @property
     def unchecked(self) -> tuple[str, ...]:
-        """Differences that may come from another version of a program, or from altered rows."""
+        """The number of differences of each kind that may be faults.
+
+        The cause may be another version of a program, or altered rows.
+        """
         pairs = ((self.otherwise, "decisions"), (self.far, "margins")) if self.answers else ()
         why = "what the program imports is another here, or rows were altered"
         lines = [f"{count} runs with other {kind} than the ledger's: {why}" for count, kind in pairs if count]
@@ -242,7 +255,7 @@ class Compared:
         return tuple(lines)
 
     def _hidden_copies(self, row: Row) -> Iterator[str]:
-        """Yield a fault if the run repeats an earlier run, but the ledger counts both as different runs."""
+        """Yield a fault if the ledger distinguishes two equal runs, or has a wrong number for the run."""
         ((then,),) = self.ledger.all(_RUN, row.stratum, row.episode)
         episode, recorded = self._runs.setdefault((row.stratum, row.run), (row.episode, then))
         if row.run and then != recorded:
@@ -253,7 +266,10 @@ class Compared:
             yield f"{where}: the ledger has {number} for {row.run}"
 
     def _faults(self, row: Row, recorded: Mapping[int, ClaimJudgement]) -> Iterator[str]:
-        """Yield each claim whose outcome is not as ``recorded``, or whose margin exceeds the tolerance."""
+        """Yield a line for each claim whose result differs from ``recorded``.
+
+        Outcomes must be equal, and margins must be equal within the tolerance.
+        """
         where = self.where(row.stratum, row.episode)
         for number, (claim, now) in enumerate(zip(self.plan.claims, row.judgements, strict=True)):
             then = recorded.get(number)
@@ -281,12 +297,12 @@ def _same(then: float, now: float) -> bool:
 
 
 def _is_close(sentence: str, then: float, now: float) -> bool:
-    """Return whether two margins (SI) of a claim differ by no more than another machine's rounding.
+    """Return True if two margins (SI) of a claim differ by no more than rounding on another machine.
 
     On emulated machines, a margin moves by at most 1e-12. The margin of a ``SAMPLED`` claim moves by up to
-    0.13 mm, because its path ends at a sample. Samples are 2.5 mm apart, and a last bit decides which sample
-    is the end. The tolerances are a tenth of a millimetre (1e-4 in SI units), and 2.5 mm for a ``SAMPLED``
-    claim.
+    0.13 mm, because its path ends at a sample. Samples are 2.5 mm apart, and a rounding error decides which
+    sample is the end. The tolerances are a tenth of a millimetre (1e-4 in SI units), and 2.5 mm for a
+    ``SAMPLED`` claim.
     """
     if math.isnan(then) or math.isnan(now):
         return math.isnan(then) and math.isnan(now)
@@ -294,15 +310,16 @@ def _is_close(sentence: str, then: float, now: float) -> bool:
 
 
 def check_traces(plan: Plan, ledger: Ledger, *, same: bool) -> Examination:
-    """Check that each stored trace belongs to its run, and that the present code judges it equally.
+    """Check that each stored trace belongs to its run, and that the present code judges it in the same way.
 
     Args:
         plan: The plan.
         ledger: The open ledger.
-        same: True if software, libraries, networks and platform are those of the report.
+        same: True if software, libraries, networks and platform are the same as for the report.
 
     """
     faults, count = list(kept(plan, ledger)), 0
+    # Stored traces are judged only, so no program needs to run.
     compared, bench = Compared(plan, ledger, same=same), EpisodeRunner(plan, programs=False)
     declared = dict(ledger.declared.identity.parts)
     source, python = declared.get("the source of this package"), declared.get("Python")
@@ -347,11 +364,11 @@ def check_traces(plan: Plan, ledger: Ledger, *, same: bool) -> Examination:
 def check_searched(gathered: GatheredEvidence, *, same: bool, programs: bool) -> Examination:
     """Repeat the runs of the counterexamples that the search found, and compare them with their traces.
 
-    Apart from these traces, the report does not record the runs.
+    The traces are the only record that the report has of these runs.
 
     Args:
         gathered: The evidence with the counterexamples.
-        same: True if a difference is a fault.
+        same: True if a difference between the traces is a fault.
         programs: True if programs in the report may run.
 
     """
@@ -385,15 +402,15 @@ def check_runs(
 ) -> Examination:
     """Repeat the drawn runs and all runs with a stored trace, and compare them with the ledger.
 
-    If the runs ask a program, the function asks it the same questions again. If the program remembers earlier
-    questions, the ledger must state this.
+    If the runs query a program, the function sends the same queries to the program again. If the program
+    remembers earlier queries, the ledger must state this.
 
     Args:
         plan: The plan.
         ledger: The open ledger.
-        turns: The turns of all verdicts, the weakest verdict first.
+        turns: The turns of all verdicts, beginning with the verdict that is changed most easily.
         drawing: The number of runs and the seed.
-        same: True if software, libraries, networks and platform are those of the report.
+        same: True if software, libraries, networks and platform are the same as for the report.
 
     """
     made = list(ledger.all("SELECT DISTINCT stratum, episode FROM judgement ORDER BY stratum, episode"))
@@ -410,6 +427,7 @@ def check_runs(
     compared = Compared(plan, ledger, same=same, program=program)
     together = MOST_TOGETHER if plan.world.batch else 1
     begun_s, done = time.perf_counter(), 0
+    # A call of ``run`` takes one stratum, and keeps the traces of violations of all its episodes or of none.
     for (stratum, keeps), group in groupby(
         sorted(chosen, key=lambda run: (run[0], run in stored)), lambda run: (run[0], run in stored)
     ):
@@ -429,6 +447,7 @@ def check_runs(
             except CampaignError as error:
                 compared.faults.append(f"{compared.where(stratum, some[0])}: {error}")
             done += len(some)
+            # Report each tenth of the runs once.
             if done * 10 // len(chosen) > (done - len(some)) * 10 // len(chosen):
                 drawing.on_progress(f"{done} of {len(chosen)} runs made again")
     each_s = (time.perf_counter() - begun_s) / len(chosen)

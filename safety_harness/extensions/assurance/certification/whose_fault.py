@@ -1,4 +1,7 @@
-"""The causes of violations in the declared runs: the first violations of each claim, drawn and run again."""
+"""Find the causes of violations in the declared runs.
+
+The first violations of each claim are drawn and run again.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +16,9 @@ MOST = 20  # the first violations of each claim
 
 
 def whose_fault(plan: Plan, ledger: Ledger) -> WhoseFault:
-    """Attribute violations of ``plan`` in ``ledger`` by kinematic replays.
+    """Find the causes of the violations in ``ledger`` by replays in the kinematic world.
 
-    Like the runs, the function executes the programs that the plan names.
+    Like the runs of the plan, the replays execute the programs to which ``plan`` refers.
     """
     violated = ViolatedEpisodes.first(ledger, MOST)
     tally = AttributionTally.from_attributions(

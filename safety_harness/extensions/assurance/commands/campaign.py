@@ -1,4 +1,4 @@
-"""``safety-harness campaign``: run a declared plan into a ledger, and query the ledger."""
+"""The commands ``safety-harness campaign``, which run a declared plan into a ledger and query the ledger."""
 
 from __future__ import annotations
 
@@ -48,10 +48,19 @@ if TYPE_CHECKING:
 _LedgerFile = Annotated[Path, Argument(help="The ledger of a campaign.", metavar="LEDGER")]
 _Cluster = Annotated[
     str | None,
-    Option(help="Run on a Dask cluster: tcp://SCHEDULER:PORT or a scheduler file.", metavar="ADDRESS|FILE"),
+    Option(
+        help="Run on a Dask cluster: tcp://SCHEDULER:PORT or a scheduler file. Default: this machine.",
+        metavar="ADDRESS|FILE",
+    ),
 ]
-_Part = Annotated[str, Option(help="Only the K-th of N parts, for 'merge'.", metavar="K/N")]
-_HELP = "Run a declared plan of up to millions of episodes into a ledger that survives crashes."
+_Part = Annotated[
+    str,
+    Option(
+        help="Run only part K of N parts of the plan. The command merge joins the ledgers of all parts.",
+        metavar="K/N",
+    ),
+]
+_HELP = "Run a declared plan of up to millions of episodes; its ledger survives crashes."
 
 
 class RareWay(StrEnum):
@@ -77,7 +86,7 @@ def run(
         Option(
             "--out",
             "--ledger",
-            help="Folder of the ledger, or the ledger itself (.sqlite) (default: reports/PLAN).",
+            help="Folder for the ledger, or the file of the ledger (.sqlite). Default: reports/PLAN.",
         ),
     ] = None,
     workers: Workers = None,
@@ -85,23 +94,25 @@ def run(
     part: _Part = "1/1",
     controller: OfController = None,
     require_shown: Annotated[
-        bool, Option("--require-shown", help="Fail unless the runs show every target of the plan.")
+        bool,
+        Option("--require-shown", help="End with exit code 1 unless the runs show every target of the plan."),
     ] = False,
 ) -> int:
     """Run the remaining episodes of a plan in many processes.
 
-    An existing ledger keeps its episodes: the command runs the rest of the
-    plan. A page (.html) beside the ledger shows its state; a finished report
-    gets no page. Ctrl-C keeps every finished episode; so does a crash of
-    program or machine.
+    If the ledger exists, the command keeps its episodes and runs the others. A
+    page (.html) beside the ledger shows the state of the campaign, unless the
+    ledger belongs to a finished report. Every finished episode stays saved,
+    even after Ctrl-C or a crash of the program or the machine.
 
-    Exit code 0: the plan, or this part of it, is complete.
-    Exit code 1: complete, but an episode or the page failed, a claim was never
-    tested, or a target is open (--require-shown).
-    Exit code 1 too: no worker remains, or the avoider did not always answer without
-    a claim on that, or it gave a repeated question another answer.
+    Exit code 0: all episodes of the plan, or of the part in --part, are
+    finished.
+    Exit code 1: the plan is complete, but an episode or the page failed, no run
+    tested a claim, or a target is not shown (--require-shown).
+    Exit code 1 too: no worker remains, the avoider gave two different answers
+    to the same question, or it did not always answer and no claim covers this.
     Exit code 2: bad input, the ledger of another plan, or a full disk.
-    Exit code 130: interrupted.
+    Exit code 130: interrupted; the ledger has all finished episodes.
     """
     from safety_harness.extensions.assurance.campaign.against import plan_with
     from safety_harness.extensions.assurance.campaign.plan import read_plan
@@ -126,22 +137,29 @@ def run(
 @_unwritten("pilot")
 def pilot_runs(
     plan: Annotated[Path, Argument(help="A plan: a file, or shipped:NAME.", metavar="PLAN")],
-    runs: Annotated[int, Option(help="Runs of each stratum, with another seed than the plan's.", min=1)] = 30,
+    runs: Annotated[
+        int,
+        Option(help="Number of runs in each stratum. Their seed differs from the seed of the plan.", min=1),
+    ] = 30,
     workers: Workers = None,
     controller: OfController = None,
 ) -> int:
     """Forecast from a few runs how many runs a plan needs.
 
-    It prints for each claim how many of the plan's runs will test it, and how
-    many it needs; then how long the plan's runs take. It writes no file and
-    looks at no declared run.
+    For each claim, the command prints how many of the plan's runs will test the
+    claim, and how many runs the claim needs. Then it prints how long the plan's
+    runs will take. The command writes no file, and makes none of the runs that
+    the plan declares.
 
-    The needed runs let the bounds show the target with a chance of 90 %, if
-    shares are as in the pilot. Each interval holds alone with 95 % confidence.
+    With the number of runs that a claim needs, the bounds show the target with
+    a probability of 90 %. This assumes that the frequencies in the plan equal
+    the frequencies in the pilot. Each interval by itself has a confidence of 95
+    %.
 
-    Exit code 0: the planned runs are enough, according to the pilot.
-    Exit code 1: they are not enough for some claim, a run failed, the avoider did
-    not always answer, or it gave a repeated question another answer.
+    Exit code 0: according to the pilot, the planned runs are enough.
+    Exit code 1: the planned runs are too few for a claim, or a run failed.
+    Exit code 1 too: the avoider did not always answer, or gave two different
+    answers to the same question.
     Exit code 2: bad input.
     Exit code 130: interrupted.
     """
@@ -184,12 +202,20 @@ def resume(
 ) -> int:
     """Continue a campaign from its ledger.
 
-    The results equal the results of an undisturbed campaign. If the plan, a
-    file or the version has changed since, the command names the change and runs
-    no episode. A campaign in a simulator of yours needs --execute-programs,
-    because the ledger may be a stranger's.
+    The results equal the results of a campaign without an interruption. If the
+    plan, a file or the version has changed since the campaign began, the
+    command prints the change and runs no episode. If the campaign runs in your
+    simulator, the command needs --execute-programs, because the ledger may come
+    from a stranger.
 
-    Exit codes as for run.
+    Exit code 0: all episodes of the plan, or of the part in --part, are
+    finished.
+    Exit code 1: the plan is complete, but an episode or the page failed, or no
+    run tested a claim.
+    Exit code 1 too: no worker remains, the avoider gave two different answers
+    to the same question, or it did not always answer and no claim covers this.
+    Exit code 2: bad input, a changed plan or version, or a full disk.
+    Exit code 130: interrupted; the ledger has all finished episodes.
     """
     from safety_harness.extensions.assurance.campaign.ledger import Ledger
     from safety_harness.extensions.assurance.campaign.session import plan_of
@@ -200,7 +226,7 @@ def resume(
 
 
 def _refuse_to_execute(ledger: Ledger, execute: bool) -> None:
-    """Raise LedgerError if a ledger, not the user, names the simulator that would run."""
+    """Raise LedgerError if the ledger specifies a simulator and the user did not permit its execution."""
     if (world := ledger.declared.world).program and not execute:
         expected = "--execute-programs, since the ledger names the simulator"
         raise LedgerError.of_file(ledger.path, expected, world.label)
@@ -214,10 +240,10 @@ def _run_episodes(
     Args:
         plan: The plan.
         path: The ledger.
-        workers: The number of processes; None: one for each core.
-        cluster: The address of a Dask scheduler, or its file; None: processes of this machine.
-        part: K/N for the K-th of N parts.
-        require_shown: Fail unless every target is shown.
+        workers: The number of processes. The default is one process per core.
+        cluster: The address of a Dask scheduler, or its file. The default uses processes of this machine.
+        part: A text K/N for part number K of N parts.
+        require_shown: Whether the exit code reports a failure if a target is not shown.
 
     """
     from safety_harness.base.interrupts import one_more_ctrl_c
@@ -295,7 +321,8 @@ def _numbers(part: str, plan: Plan) -> tuple[int, int]:
     """Return (K - 1, N) for the text K/N in ``part``.
 
     Raises:
-        ScenarioError: The text is no K/N, or the plan may stop early and therefore has no fixed parts.
+        ScenarioError: The text does not have the form K/N. The error is also raised if the plan may stop
+            early and therefore has no fixed parts.
 
     """
     k, _, n = part.partition("/")
@@ -310,11 +337,13 @@ def _numbers(part: str, plan: Plan) -> tuple[int, int]:
 @_command()
 def status(
     ledger: _LedgerFile,
-    html: Annotated[Path | None, Option(help="Also write a page to this file.", metavar="FILE")] = None,
+    html: Annotated[
+        Path | None, Option(help="Also write the state as a page to this file.", metavar="FILE")
+    ] = None,
 ) -> int:
-    """Print the state of a campaign, also while it runs.
+    """Print the state of a campaign, even while it runs.
 
-    A complete campaign has its bounds too.
+    If the campaign is complete, the command also prints its bounds.
 
     Exit code 0: the state is printed.
     Exit code 2: the ledger cannot be read, or the page cannot be written.
@@ -361,22 +390,35 @@ def query(
     sql: Annotated[
         str | None, Argument(help="A query in SQL on the views results and episodes.", metavar="SQL")
     ] = None,
-    claim: Annotated[str | None, Option(help="Only this claim; unique words of it suffice.")] = None,
-    stratum: Annotated[str | None, Option(help="Only this stratum; unique words of it suffice.")] = None,
-    outcome: Annotated[str | None, Option(help="holds, violated, untested, inconclusive or failed.")] = None,
+    claim: Annotated[
+        str | None,
+        Option(help="Print only results on this claim. Some words that occur in no other claim are enough."),
+    ] = None,
+    stratum: Annotated[
+        str | None,
+        Option(
+            help="Print only results in this stratum. Some words that occur in no other stratum are enough."
+        ),
+    ] = None,
+    outcome: Annotated[
+        str | None,
+        Option(
+            help="Print only results with this outcome: holds, violated, untested, inconclusive or failed."
+        ),
+    ] = None,
     below: Annotated[
-        str | None, Option(help="Only margins below this, with its unit, such as '10 mm'.")
+        str | None, Option(help="Print only results with a margin below this value, for example '10 mm'.")
     ] = None,
 ) -> int:
     """Print results as CSV, or query the ledger in SQL.
 
-    Without SQL, the worst margins come first. A query can only read. For the
-    gate, the view episodes has the columns proposals, overruled,
-    overruled_replaced, overruled_stopped, and a column for each reason, such as
-    overruled_uncertain.
+    Without a query in SQL, the rows with the worst margins come first. A query
+    cannot change the ledger. In the view episodes, the columns proposals,
+    overruled, overruled_replaced and overruled_stopped concern the gate. The
+    view also has a column for each reason, such as overruled_uncertain.
 
     Exit code 0: the rows are printed.
-    Exit code 2: the query has an error.
+    Exit code 2: the ledger cannot be read, or the query has an error.
     """
     import sqlite3
 
@@ -404,14 +446,19 @@ def query(
 @_command()
 def export(
     ledger: _LedgerFile,
-    out: Annotated[Path | None, Argument(help="A .csv or .parquet file.", metavar="OUT")] = None,
+    out: Annotated[
+        Path | None, Argument(help="The table to write, a .csv or .parquet file.", metavar="OUT")
+    ] = None,
     traces: Annotated[
-        Path | None, Option(help="Also write the stored traces to this folder, as files for replay.")
+        Path | None,
+        Option(
+            help="Also write the stored traces to this folder, as files that the command replay can read."
+        ),
     ] = None,
 ) -> int:
-    """Write a line for each episode and claim (.csv or .parquet).
+    """Write a table with a row for each episode and claim.
 
-    Parquet needs the extra "export".
+    A Parquet file needs the extra "export".
 
     Exit code 0: the files are written.
     Exit code 2: bad input, or a file cannot be written.
@@ -437,33 +484,39 @@ def export(
 @_command()
 def compare(
     first: Annotated[
-        Path, Argument(help="The ledger before; with --against, the ledger after.", metavar="A")
+        Path,
+        Argument(
+            help="The ledger before a change. With --against or --controller, it is the ledger after the "
+            "change.",
+            metavar="A",
+        ),
     ],
-    second: Annotated[Path | None, Argument(help="The ledger after.", metavar="[B]")] = None,
+    second: Annotated[Path | None, Argument(help="The ledger after the change.", metavar="[B]")] = None,
     against: OfReference = None,
     controller: OfController = None,
     workers: Workers = None,
     execute_programs: Executes = False,
 ) -> int:
-    """Compare two campaigns over the same episodes, A and B.
+    """Compare two campaigns, A and B, over the same episodes.
 
-    The two have different avoiders. For each claim and stratum it prints:
+    The two campaigns have different avoiders. For each claim and stratum, the
+    command prints the difference in the probability of a violation, with exact
+    bounds from paired episodes. It also prints how often the gate overruled the
+    avoider in A and in B. Then it lists the episodes that only B violates,
+    beginning with the largest loss of margin, and the margins that became
+    smaller although the claim holds in A and in B. Finally, it prints how many
+    episodes violate any claim in only A or only B.
 
-    - the difference in the chance of a violation, paired by episode, exact bounds
-    - how much more the gate overruled
-    - the episodes that only B violates, the largest loss of margin first
-    - the margins that B lost although both hold
-    - how many episodes violate any claim in only A or only B
-
-    Use --against (an avoider) or --controller in place of B. The command then
-    runs the plan of A with that system, beside the ledger of A, and prints
-    where A is worse. It continues a run that was interrupted.
+    You can pass --against (an avoider) or --controller instead of B. The
+    command then runs the plan of A with that system, and writes a ledger beside
+    the ledger of A. If an earlier call was interrupted, the command continues
+    its run. The results and the exit codes then concern A in place of B. If the
+    new run fails, the command ends with the exit code of "campaign run".
 
     Exit code 0: the intervals do not show that B is worse.
-    Exit code 1: B is worse in a claim and stratum, with its whole interval, or a
-    claim has no decided run in a stratum.
+    Exit code 1: the whole interval of a claim in a stratum shows that B is
+    worse, or a claim has no run with a verdict in a stratum.
     Exit code 2: the campaigns cannot be compared.
-    The run of the plan of A may end with an exit code of its own.
     """
     from safety_harness.admission.avoiders import one_of, option_of
     from safety_harness.claims.properties.base import SI_UNITS
@@ -548,19 +601,28 @@ def compare(
 @_command()
 def attribute(
     ledger: _LedgerFile,
-    most: Annotated[int, Option(help="Number of violations per claim, from the first on.", min=1)] = 100,
+    most: Annotated[
+        int,
+        Option(
+            help="Largest number of violations to attribute for each claim, beginning with the first "
+            "violation.",
+            min=1,
+        ),
+    ] = 100,
     out: AttributionOut = None,
     confirm: Confirm = False,
     execute_programs: Executes = False,
 ) -> int:
-    """Print the causes of a campaign's violations.
+    """Find the causes of a campaign's violations.
 
-    It draws each episode again from its seed and runs it, as attribute does, so
-    it needs no stored trace. First it prints how many of all violations it
-    covers.
+    The command draws each violated episode again from its seed, and repeats it
+    as the command attribute does. Therefore the command needs no stored trace.
+    It first prints how many of all violations it covers.
 
-    Exit code 0: every violation has a cause, or there is no violation.
-    Exit code 1: a violation has no cause.
+    Exit code 0: for each violation, the command found a cause, or the answer
+    "unavoidable" or "helped by nothing tried".
+    Exit code 1: an episode cannot be repeated, or its replay does not show the
+    violation.
     Exit code 2: bad input.
     Exit code 130: interrupted.
     """
@@ -573,37 +635,48 @@ def attribute(
 def rare_violations(
     plan: Annotated[Path, Argument(help="A plan: a file, or shipped:NAME.", metavar="PLAN")],
     rare_way: Annotated[
-        RareWay, Option("--by", help="importance draws near violations, splitting moves there in steps.")
+        RareWay,
+        Option(
+            "--by",
+            help="The method of estimation: importance draws scenarios near violations, and splitting "
+            "moves scenarios towards violations in steps.",
+        ),
     ] = (RareWay.IMPORTANCE),
     pilot: Annotated[
-        int | None, Option(help="For importance: draws per step of the pilot (default 500).", min=10)
+        int | None,
+        Option(help="For importance: number of draws in each step of the pilot. Default: 500.", min=10),
     ] = None,
     runs: Annotated[
-        int | None, Option(help="For importance: draws after the pilot (default 5000).", min=100)
+        int | None, Option(help="For importance: number of draws after the pilot. Default: 5000.", min=100)
     ] = None,
     particles: Annotated[
-        int | None, Option(help="For splitting: runs per level (default 200).", min=10)
+        int | None, Option(help="For splitting: number of runs in each level. Default: 200.", min=10)
     ] = None,
     steps: Annotated[
-        int | None, Option(help="For splitting: moves of a run per level (default 5).", min=1)
+        int | None, Option(help="For splitting: number of moves of a run in each level. Default: 5.", min=1)
     ] = None,
-    replications: Annotated[int, Option(help="Independent repetitions.", min=3)] = 20,
+    replications: Annotated[int, Option(help="Number of independent repetitions.", min=3)] = 20,
 ) -> int:
     """Estimate the probability of rare violations.
 
-    Use it below 1 in 100, with importance sampling or splitting. The estimate
-    is the share of all runs of a stratum, also of runs that do not test the
-    claim, with its lower end. A search cannot see a region that it did not
-    reach. So the upper end comes from the plain draws alone: it is exact and
-    wide.
+    Use this command for probabilities below 1 in 100. It uses importance
+    sampling or splitting. The estimate is the fraction of all runs of a stratum
+    that violate the claim, including runs that do not test it. The command also
+    prints a lower and an upper bound. A search cannot see a region that it did
+    not reach. Therefore the upper bound comes from the plain draws alone, and
+    is exact but wide.
 
-    Importance sampling needs the fewest runs, and gives no estimate where it is
-    not reliable; splitting then needs more runs. The command writes no file.
+    Importance sampling needs the fewest runs, but it gives no estimate if the
+    estimate would not be reliable. In this case, splitting gives an estimate
+    from more runs. The command writes no file.
 
-    Exit code 0: every claim has an estimate that does not exceed its target.
-    Exit code 1: a claim has no estimate or exceeds its target, the avoider did not
-    always answer, or it gave a repeated question another answer.
-    Exit code 2: bad input, or a run without information.
+    Exit code 0: every claim has an estimate, and no lower bound exceeds its
+    target.
+    Exit code 1: a claim has no estimate, or its lower bound exceeds its target.
+    Exit code 1 too: the avoider did not always answer, or gave two different
+    answers to the same question.
+    Exit code 2: bad input, a run that failed, or a run that tested a claim
+    without a verdict.
     Exit code 130: interrupted.
     """
     from safety_harness.base.exceptions import StatisticsError
@@ -653,16 +726,19 @@ def rare_violations(
 
 @_command()
 def merge(
-    into: Annotated[Path, Argument(help="The ledger to make.", metavar="INTO")],
-    ledgers: Annotated[list[Path], Argument(help="Ledgers of parts of one plan.", metavar="LEDGER...")],
+    into: Annotated[Path, Argument(help="The new ledger, which must not exist yet.", metavar="INTO")],
+    ledgers: Annotated[
+        list[Path], Argument(help="The ledgers of the parts of one plan.", metavar="LEDGER...")
+    ],
 ) -> int:
-    """Merge the ledgers of several machines into a ledger.
+    """Merge the ledgers of several machines into one ledger.
 
-    Each machine ran a part of the same plan. Episodes that two ledgers share
-    must agree to the last bit.
+    Each machine ran a part of the same plan. If an episode is in two ledgers,
+    its results must agree to the last bit.
 
     Exit code 0: the ledger is written.
-    Exit code 2: the ledgers have different plans, or disagree.
+    Exit code 2: the ledgers have different plans or disagree, or the new ledger
+    already exists.
     """
     from safety_harness.extensions.assurance.campaign.ledger import Ledger
     from safety_harness.extensions.assurance.campaign.merging import merge as merge_ledgers

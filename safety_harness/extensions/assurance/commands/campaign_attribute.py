@@ -21,10 +21,11 @@ def attribute_ledger(path: Path, most: int, execute: bool, out: Path | None, con
 
     Args:
         path: The ledger.
-        most: The number of violations to attribute for each claim, from the first violation on.
-        execute: Allow the execution of programs that the campaign names.
-        out: The folder for the attribution; None: no files.
-        confirm: Repeat the runs in a reference world too.
+        most: The number of violations to attribute for each claim. These are the first violations of the
+            claim.
+        execute: Whether to execute the programs to which the campaign refers.
+        out: The folder for the attribution, or None to write no files.
+        confirm: Whether to repeat the runs in a reference world too.
 
     """
     with Ledger.open(path) as ledger, plan_of(ledger) as plan:

@@ -1,4 +1,4 @@
-"""The lines that the commands print on a campaign's ledger, and on two ledgers."""
+"""The lines that the commands print about one ledger of a campaign, or about two ledgers."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from safety_harness.extensions.assurance.statistics.rounding import rounded_down
 from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
 from safety_harness.report.words import tested_words
 
-_MOST_REASONS = 5
+_MOST_REASONS = 5  # reasons that are printed; a choice
 
 
 def tested_lines(plan: Plan) -> list[str]:
-    """Return a line for each system under test, with the names of its strata.
+    """Return a line for each system under test, which lists the strata that use the system.
 
-    The line names the avoider or controller, the shield, and each value that is not the default.
+    The line states the avoider or controller, the shield, and each value that is not the default.
     """
     tested: dict[str, list[str]] = {}
     for stratum in plan.strata:
@@ -44,7 +44,10 @@ def tested_lines(plan: Plan) -> list[str]:
 
 
 def ledger_lines(ledger: Ledger, state: LedgerState) -> Iterator[str]:
-    """Yield the lines on the state of a campaign; only a complete campaign has lines on bounds."""
+    """Yield the lines on the state of a campaign.
+
+    Only a complete campaign has lines on bounds.
+    """
     declared, tally = ledger.declared, state.tally
     yield f"{ledger.path}: {declared.title}"
     yield _summary(declared, tally)
@@ -60,7 +63,10 @@ def ledger_lines(ledger: Ledger, state: LedgerState) -> Iterator[str]:
 
 
 def ledger_data(ledger: Ledger, state: LedgerState) -> dict[str, object]:
-    """Return the content of ``ledger_lines`` as data: margins in SI, null for a missing value."""
+    """Return the content of ``ledger_lines`` as data.
+
+    Margins are in SI units, and a missing value is null.
+    """
     declared, tally = ledger.declared, state.tally
     whole = tally.complete
     strata = zip(declared.strata, tally.strata, strict=True)
@@ -122,7 +128,7 @@ def _summary(declared: Declared, tally: CampaignTally) -> str:
 
 
 def worst_lines(claims: tuple[str, ...], units: tuple[Unit, ...], tally: CampaignTally) -> list[str]:
-    """Return a line for each claim over all strata: its worst margin, and the number of each outcome."""
+    """Return a line for each claim with its worst margin and the number of each outcome, over all strata."""
     lines = []
     for k, (claim, unit) in enumerate(zip(claims, units, strict=True)):
         claim_tally = tally.of_claim(k)
@@ -154,7 +160,10 @@ def _failure_lines(ledger: Ledger) -> list[str]:
 
 
 def _fallback_lines(ledger: Ledger) -> list[str]:
-    """Return how often and why the fallback stood in for the avoider; empty if it never did."""
+    """Return a line that states how often the fallback replaced the avoider, and for which reason.
+
+    The list is empty if the fallback never replaced the avoider.
+    """
     fallback = fallback_of(ledger)
     episodes = next(ledger.all("SELECT count(*) FROM episode"))[0]
     where = f"in {fallback.episodes} of {episodes} episodes; most often: {fallback.reason}"
@@ -162,7 +171,10 @@ def _fallback_lines(ledger: Ledger) -> list[str]:
 
 
 def _overruled_lines(ledger: Ledger) -> list[str]:
-    """Return how often the gate overruled proposals, also by stratum; empty if there were no proposals."""
+    """Return lines that state how often the gate overruled proposals, in total and in each stratum.
+
+    The list is empty if there were no proposals.
+    """
     strata = ledger.declared.strata
     each = [(name, overruling_in(ledger, k)) for k, name in enumerate(strata) if len(strata) > 1]
     shares = ", ".join(f"{name} {share_words(part.overruled, part.proposals)}" for name, part in each)
@@ -171,7 +183,10 @@ def _overruled_lines(ledger: Ledger) -> list[str]:
 
 
 def _bound_lines(ledger: Ledger, bounds: Sequence[ProbabilityBounds]) -> list[str]:
-    """Return the bounds of each violation probability, which all hold together, as in a report."""
+    """Return lines with the bounds of each violation probability.
+
+    All bounds hold simultaneously, as in a report.
+    """
     if ledger.dependent:
         return [ledger.dependent]
     declared = ledger.declared
@@ -195,14 +210,17 @@ def _bound_lines(ledger: Ledger, bounds: Sequence[ProbabilityBounds]) -> list[st
 
 
 def _shown(row: ProbabilityBounds, target: float) -> str:
-    """Return the report's words on whether a bound shows ``target``."""
+    """Return whether a bound shows ``target``, in the words of the report."""
     if row.shows(target):
         return "shown"
     return "shown with doubt" if row.trials and row.model_only and row.high <= target else "NOT shown"
 
 
 def rare_line(rate: RareViolation) -> str:
-    """Return the line on a rare violation: the estimate, and the upper end from the plain draws."""
+    """Return a line on a rare violation.
+
+    The line has the estimated probability, and the upper end that comes from the plain draws.
+    """
     estimate, where = rate.estimate, f"{rate.stratum}: {rate.claim.sentence}"
     ran = f"{estimate.evaluations:,} draws{', model only' if estimate.model_only else ''}"
     most = f"at most {rate.high:.3g} by its {estimate.plain_draws:,} plain draws alone"
@@ -215,9 +233,10 @@ def rare_line(rate: RareViolation) -> str:
 
 
 def difference_lines(rows: Sequence[PairedComparison], confidence: float) -> list[str]:
-    """Return a line for each claim in each stratum: the second campaign minus the first, with its interval.
+    """Return a line for each claim in each stratum.
 
-    All intervals hold together with ``confidence``.
+    The line has the result of the second campaign minus the result of the first, and the interval of this
+    difference. All intervals hold simultaneously with ``confidence``.
     """
     each = confidence_words(rows[0].confidence)
     head = (

@@ -16,17 +16,22 @@ commands = Typer()
 @command(commands)
 def history(
     folder: Annotated[
-        Path, Argument(help="A folder with the report.json of many runs, at any depth.", metavar="FOLDER")
+        Path,
+        Argument(
+            help="A folder that contains the report.json files of many runs, at any depth.", metavar="FOLDER"
+        ),
     ],
-    out: Annotated[Path, Option(help="The page.")] = Path("reports/history.html"),
+    out: Annotated[Path, Option(help="The HTML page to write.")] = Path("reports/history.html"),
 ) -> int:
-    """Compare many revisions: verdicts, margins, overruling.
+    """Compare the verdicts, margins and overruling of many revisions.
 
-    It reads the report.json of many runs, such as a CI's artefacts, in the
-    order of their dates.
+    The command reads the report.json files of many runs, such as the artefacts
+    of a CI, in the order of their dates.
 
-    Exit code 0: no verdict turned to an unexpected one, and overruling does not grow.
-    Exit code 1: a verdict did, or overruling grows.
+    Exit code 0: no verdict became unexpected, and no avoider is overruled more
+    and more often.
+    Exit code 1: a verdict became unexpected, or the gate overrules an avoider
+    more and more often.
     Exit code 2: bad input.
     """
     import shlex

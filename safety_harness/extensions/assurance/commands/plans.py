@@ -1,4 +1,4 @@
-"""Work on plans before their runs: the best result that a plan can have, and a draft from a space."""
+"""Work on plans before their runs: explain the best result that a plan can have, and draft plans."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ TARGET = 0.02  # of a draft; the author, who knows the hazard, replaces it
 
 
 def explain_plan(path: Path) -> int:
-    """Print what the runs of the plan in ``path`` can show at best, and return the exit code."""
+    """Print the best result that a plan's runs can show, and return the exit code.
+
+    ``path`` is the plan's file.
+    """
     plan = read_plan(path)
     family = ends_of(len(plan.claims), len(plan.strata))
     result(f"{plan.file}: {plan.title}; {plan.world}, seed {plan.seed}")
@@ -69,8 +72,10 @@ def draft_plan(space: Path | None, file: Path | None) -> int:
     """Write a plan for the claims of a space, with the fewest runs that can show ``TARGET``.
 
     Args:
-        space: The space; None raises an error that asks for a space.
-        file: The plan to write; None: NAME-plan.yaml in the working directory.
+        space: The space. If ``space`` is None, the function raises an error
+            that asks for a space.
+        file: The plan to write. The default is NAME-plan.yaml in the working
+            directory, where NAME is the name of the space.
 
     Returns:
         The exit code.

@@ -14,13 +14,14 @@ from safety_harness.extensions.assurance.commands.campaign_lines import worst_li
 
 @contextmanager
 def watching_campaign(plan: Plan, output: Output) -> Iterator[Callable[[CampaignRunner], None]]:
-    """Yield a function that displays the progress: rate, remaining time, worst margins, violations.
+    """Yield a function that displays the progress: rate, remaining time, worst margins and violations.
 
-    Judging by the first runs, it warns once of each claim that the planned runs will not show.
+    The function makes a forecast from the first runs. If the planned runs will probably not show a claim, the
+    function warns once of that claim.
 
     Args:
         plan: The plan of the campaign.
-        output: Receives the display and the warnings.
+        output: The object that receives the display and the warnings.
 
     """
     claims = tuple(claim.sentence for claim in plan.claims)

@@ -50,7 +50,9 @@ Cells = tuple[Any, ...]
 def write_page(
     path: Path, ledger: Ledger, state: LedgerState, *, command: str, generated_at: datetime
 ) -> None:
-    """Write the page of ``ledger``; a failure leaves no partial page.
+    """Write the page of ``ledger``.
+
+    If the function fails, it leaves no partial page.
 
     Args:
         path: The file of the page.

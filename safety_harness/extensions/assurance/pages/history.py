@@ -1,4 +1,8 @@
-"""The results of many revisions: changed verdicts, margins, and whether the gate overrules more and more."""
+"""The results of many revisions.
+
+The results are the changed verdicts, the margins, and whether the gate overrules the avoider increasingly
+often.
+"""
 
 from __future__ import annotations
 
@@ -32,9 +36,11 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Revision:
-    """A report of a revision: folder's name, claims of its runs, and (overruled, proposals) of each avoider.
+    """A report of a revision.
 
-    ``made_at`` is ISO 8601 in UTC, and empty if the report does not state it.
+    ``name`` is the name of the report's folder. ``claims`` has the claims of its runs, and ``overruling`` has
+    a pair (overruled, proposals) for each avoider. ``made_at`` is ISO 8601 in UTC, or empty if the report
+    does not state the time.
     """
 
     name: str
@@ -54,7 +60,7 @@ class Course:
 
     @property
     def turns(self) -> list[tuple[str, str, str]]:
-        """(revision, verdict before, verdict) for each revision with another verdict than before."""
+        """A triple (revision, earlier verdict, new verdict) for each revision that changed the verdict."""
         return [
             (name, last["verdict"], now["verdict"])
             for (_, last), (name, now) in zip(self.found, self.found[1:], strict=False)
@@ -63,14 +69,17 @@ class Course:
 
     @property
     def unlike(self) -> bool:
-        """True if the newest verdict is not the expected verdict, and the verdict has ever changed."""
+        """True if the newest verdict is unexpected and the verdict has changed at least once."""
         newest = self.found[-1][1]
         return newest["verdict"] != newest["expected"] and bool(self.turns)
 
 
 @dataclass(frozen=True)
 class History:
-    """All revisions and claims; ``growing`` names the avoiders that the gate overrules more and more."""
+    """All revisions and claims.
+
+    ``growing`` has the names of the avoiders that the gate overrules more and more.
+    """
 
     revisions: tuple[Revision, ...]
     courses: tuple[Course, ...]
@@ -78,7 +87,7 @@ class History:
 
     @property
     def unlike(self) -> list[Course]:
-        """The claims whose verdict has changed, and is now not the expected verdict."""
+        """The claims whose verdict has changed and now differs from the expected verdict."""
         return [course for course in self.courses if course.unlike]
 
     @property
@@ -93,7 +102,7 @@ class History:
 def read_history(folder: Path) -> History:
     """Read every report.json below ``folder``, in the order of their dates.
 
-    Reports of earlier versions have no date. They come first, in the order of their folders' names.
+    Reports of earlier versions have no date. These reports come first, in the order of their folders' names.
 
     Raises:
         InputError: There are fewer than two reports, or a file is no report of this version.
@@ -117,6 +126,7 @@ def read_history(folder: Path) -> History:
 
 
 def _natural(name: str) -> list[tuple[int, int | str]]:
+    # Numbers sort as numbers: r9 before r10.
     return [(0, int(part)) if part.isdigit() else (1, part) for part in re.split(r"(\d+)", name) if part]
 
 
@@ -151,15 +161,23 @@ def _tested(system: Row) -> str:
 
 
 def shares_of(revisions: Sequence[Revision], avoider: str) -> list[tuple[int, int, int]]:
-    """Return (number of the revision, overruled, proposals) for each revision where ``avoider`` proposed."""
+    """Return a triple for each revision in which ``avoider`` made a proposal.
+
+    The triple has the number of the revision, the number of overruled proposals, and the number of all
+    proposals.
+    """
     rows = ((k, *row.overruling.get(avoider, (0, 0))) for k, row in enumerate(revisions, start=1))
     return [row for row in rows if row[2]]
 
 
 def _grows(shares: list[tuple[int, int, int]]) -> bool:
-    """Return whether the gate's share of overruled proposals rises, by a one-sided test of Kendall's tau."""
+    """Return True if the fraction of overruled proposals rises.
+
+    The decision uses a one-sided test of Kendall's tau.
+    """
     from scipy.stats import kendalltau
 
+    # Kendall's tau is not defined if all shares are equal.
     if len(shares) < 2 or len({overruled / proposed for _, overruled, proposed in shares}) == 1:
         return False
     order, part = zip(*((k, overruled / proposed) for k, overruled, proposed in shares), strict=True)
@@ -167,7 +185,9 @@ def _grows(shares: list[tuple[int, int, int]]) -> bool:
 
 
 def write_page(path: Path, history: History, *, command: str, generated_at: datetime) -> None:
-    """Write the page of ``history``; a failure leaves no partial page.
+    """Write the page of ``history``.
+
+    If the function fails, it leaves no partial page.
 
     Args:
         path: The file of the page.
@@ -213,7 +233,7 @@ def _margin_words(row: Row) -> str:
 
 
 def _picture(shares: dict[str, list[tuple[int, int, int]]], revisions: int) -> str:
-    """Return an SVG plot of the share of proposals that the gate overruled in each revision."""
+    """Return an SVG plot of the fraction of proposals that the gate overruled in each revision."""
     picture = Picture(WIDTH_PX, HEIGHT_PX)
     axes = picture.axes(EDGE_PX, 30.0, WIDTH_PX - 2 * EDGE_PX, HEIGHT_PX - 80.0)
     for number, (name, points) in enumerate((name, row) for name, row in shares.items() if row):

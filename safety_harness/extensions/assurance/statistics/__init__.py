@@ -1,1 +1,1 @@
-"""Statistics: estimates from declared, independent streams of episodes, with bounds of measured coverage."""
+"""Estimate from declared streams of independent episodes. The coverage of the bounds was measured."""

@@ -1,7 +1,7 @@
 """Exact bounds of the probability that a run violates a claim, given that the run exercises the claim.
 
-Upper bounds count inconclusive and failed runs as violations; lower bounds do not. Untested runs are no
-trials; the sample counts them separately.
+Upper bounds count inconclusive and failed runs as violations, and lower bounds do not. Untested runs are not
+trials, and the sample counts them separately.
 
 A stream of fixed length has Clopper and Pearson's (1934) bounds. A stream that may stop early has the bounds
 of ``sequential``.
@@ -24,7 +24,10 @@ from safety_harness.extensions.assurance.statistics.sequential import anytime_lo
 
 
 class Sides(Enum):
-    """Which ends of an interval are bounds; the value of each member is the number of these ends."""
+    """The kinds of intervals: only the upper end is a bound, or both ends are bounds.
+
+    The value of each member is the number of ends that are bounds.
+    """
 
     UPPER = 1  # the greatest probability; the lower end is 0 and states nothing
     BOTH = 2
@@ -41,12 +44,13 @@ class Method(Enum):
 class ProbabilityBounds:
     """The violation probability of a claim in a stratum, which lies between ``low`` and ``high``.
 
-    This interval alone holds with at least ``confidence``. It belongs to a ``family`` of bounds, which hold
-    together with ``joint_confidence``. The family counts each end of an interval that is a bound.
+    This interval holds by itself with at least ``confidence``. The interval belongs to a family of ``family``
+    bounds, which hold simultaneously with ``joint_confidence``. An interval with two bounds adds 2 to the
+    size of the family.
 
-    The tested runs are the ``trials``. ``violations`` counts the certain violations among them.
-    ``inconclusive`` and ``failed`` count runs that may have violated the claim. ``model_only`` is true if the
-    runs come from a simplified world.
+    ``trials`` is the number of tested runs. ``violations`` is the number of certain violations among these
+    runs. ``inconclusive`` and ``failed`` are the numbers of inconclusive runs and failed runs. Such a run may
+    have violated the claim. ``model_only`` is true if the runs come from a simplified world.
     """
 
     stratum: str
@@ -68,14 +72,14 @@ class ProbabilityBounds:
 
     @property
     def share(self) -> float | None:
-        """The share of the tested runs that certainly violated the claim; None if no run tested it."""
+        """The fraction of tested runs that certainly violated the claim, or None if no run tested it."""
         return self.violations / self.trials if self.trials else None
 
     def shows(self, target: float) -> bool:
-        """Return whether the upper bound shows ``target`` in the reference world.
+        """Return whether the upper bound shows ``target`` in a world that is not simplified.
 
         Args:
-            target: The largest share of tested runs that may violate the claim, 0 to 1.
+            target: The largest fraction of tested runs that may violate the claim, between 0 and 1.
 
         Returns:
             True if there are tested runs, the world is not simplified, and ``high`` is at most ``target``.
@@ -91,17 +95,18 @@ def bounds_of(
     *,
     family: int | None = None,
 ) -> tuple[ProbabilityBounds, ...]:
-    """Return one bound per sample, in the order of ``samples``; all bounds hold together with ``confidence``.
+    """Return one bound per sample, in the order of ``samples``.
 
-    The method is Bonferroni's: each of m bounds may fail with the chance (1 - confidence) / m. It also holds
-    if the samples are dependent.
+    All bounds hold simultaneously with ``confidence``. The method is Bonferroni's: each of m bounds may fail
+    with a probability of (1 - confidence) / m. The bounds also hold if the samples are dependent.
 
     Args:
         samples: At least one sample.
-        confidence: The joint confidence, between 0 and 1.
-        sides: The ends that are bounds. Without a lower bound, ``low`` is 0.
-        family: The number m, if a report shows further bounds, for example of samples that are still missing.
-            None: the number of bounds of these samples.
+        confidence: The simultaneous confidence of all bounds, between 0 and 1.
+        sides: The ends that are bounds. If the lower end is no bound, ``low`` is 0.
+        family: The number m. The number m is larger than the number of returned bounds if a report shows
+            further bounds, for example of samples that are still missing. The default is the number of bounds
+            of these samples.
 
     Raises:
         StatisticsError: There is no sample, the confidence is impossible, or the family is too small.
@@ -120,7 +125,9 @@ def bounds_of(
 
 
 def ends_of(claims: int, strata: int) -> int:
-    """Return the number of bounds that share a plan's error: two ends for each claim in each stratum.
+    """Return the number of bounds among which a plan's error is divided.
+
+    Each claim has two bounds in each stratum.
 
     Args:
         claims: The number of claims.
@@ -137,7 +144,8 @@ def violation_bounds(
 
     Args:
         sample: The sample.
-        confidence: The confidence, between 0 and 1. Two-sided bounds hold together with this confidence.
+        confidence: The confidence, between 0 and 1. The two ends of a two-sided interval hold simultaneously
+            with this confidence.
         sides: The ends that are bounds.
 
     Raises:
@@ -149,14 +157,16 @@ def violation_bounds(
 
 
 def chance_of_each(confidence: float, family: int) -> float:
-    """Return the chance with which each bound of a family may fail so that all hold with ``confidence``.
+    """Return the probability with which each bound of a family may fail.
+
+    All bounds then hold simultaneously with ``confidence``.
 
     Args:
-        confidence: The joint confidence, between 0 and 1.
+        confidence: The simultaneous confidence of all bounds, between 0 and 1.
         family: The number m of bounds.
 
     Returns:
-        (1 - confidence) / m, by Bonferroni.
+        The probability (1 - confidence) / m, according to Bonferroni.
 
     Raises:
         StatisticsError: The confidence is impossible, or the family is empty.
@@ -177,6 +187,7 @@ def _bounds(
     return ProbabilityBounds(
         stratum=sample.declaration.stratum,
         claim=sample.claim,
+        # A run without a verdict counts as a violation in the upper bound only.
         low=lower(sample.violations, sample.trials, chance) if sides is Sides.BOTH else 0.0,
         high=upper(sample.at_worst, sample.trials, chance),
         trials=sample.trials,

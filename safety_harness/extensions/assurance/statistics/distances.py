@@ -1,10 +1,10 @@
 """Bounds of the quantiles of a margin, without an assumption about its distribution.
 
-A tested run without a margin counts as minus infinity, because it may have had any margin. Untested runs do
-not count. The samples must have a fixed length.
+If a tested run has no margin, its margin is set to minus infinity, because the true margin is unknown.
+Untested runs are ignored. The samples must have a fixed length.
 
-The margin is the margin of the claim. For "hand distance never below 50 mm", the least hand distance of a run
-is its margin plus 50 mm.
+Here, a margin is the margin of the claim and not the measured quantity. For "hand distance never below 50
+mm", the least hand distance of a run is its margin plus 50 mm.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from safety_harness.extensions.assurance.statistics.sample import (
 
 @dataclass(frozen=True, kw_only=True)
 class QuantileBound:
-    """The margin ``at_least`` (SI) that a share ``content`` of all tested runs keeps, with ``confidence``.
+    """The margin ``at_least`` (SI) that a fraction ``content`` of all tested runs keeps, with ``confidence``.
 
-    If the margins of the ``trials`` runs ascend, this margin has the position ``rank``. If the runs are too
-    few for a statement, ``at_least`` is -inf and ``rank`` is 0. ``seen`` is the quantile of the sample
-    itself.
+    This margin has the position ``rank`` among the margins of the ``trials`` runs, in ascending order. If the
+    runs are too few for a statement, ``at_least`` is -inf and ``rank`` is 0. ``seen`` is the quantile of the
+    sample itself.
     """
 
     content: float
@@ -44,16 +44,16 @@ class QuantileBound:
 
 
 def tolerance_bound(sample: IndependentSample, content: float, confidence: float = 0.95) -> QuantileBound:
-    """Return the largest margin that a share ``content`` of all runs keeps, by Wilks (1941).
+    """Return the largest margin that a fraction ``content`` of all runs keeps.
 
-    The bound is the r-th smallest of n margins. Here r is the largest number with P(Bin(n, 1 - content) >= r)
-    >= confidence. The bound is exact for continuous margins, and cautious for discrete margins. It is also a
-    lower bound of the quantile 1 - content.
+    The method comes from Wilks (1941). The bound is the r-th smallest of n margins. Here r is the largest
+    number with P(Bin(n, 1 - content) >= r) >= confidence. The bound is exact for continuous margins, and
+    conservative for discrete margins. The bound is also a lower bound of the quantile 1 - content.
 
     Args:
         sample: A sample of fixed length.
-        content: The share of tested runs, between 0 and 1.
-        confidence: The confidence of this bound alone, between 0 and 1.
+        content: The fraction of tested runs, between 0 and 1.
+        confidence: The confidence of this bound by itself, between 0 and 1.
 
     Raises:
         StatisticsError: The content or the confidence is not between 0 and 1, no run is tested, or the stream
@@ -83,13 +83,16 @@ def _check_content(content: float) -> None:
 
 
 def _rank(n: int, share: float, confidence: float) -> int:
-    """Return the largest r with P(Bin(n, share) >= r) >= confidence; 0 if there is no such r."""
+    """Return the largest r with P(Bin(n, share) >= r) >= confidence, or 0 if there is no such r."""
     ranks = np.arange(1, n + 1)
     return int(np.count_nonzero(beta_share(ranks, n - ranks + 1.0, share) >= confidence))  # it falls with r
 
 
 def _tested(sample: IndependentSample) -> Floats:
-    """Return the margins (n,) of the tested runs, ascending; -inf where a verdict or a margin is missing."""
+    """Return the margins of the tested runs in ascending order, shape (n,).
+
+    A margin is -inf if the run has no verdict or no margin.
+    """
     known = fixed_length(sample)
     tested = known.outcomes != EpisodeOutcome.UNTESTED
     if not tested.any():

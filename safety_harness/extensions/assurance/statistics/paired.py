@@ -1,10 +1,11 @@
-"""The difference in how often two avoiders violate a claim, from runs on the same episodes.
+"""Estimate how the violation probabilities of two avoiders differ, from runs on the same episodes.
 
 Episode k is the same scenario for both avoiders (common random numbers), so that only the avoiders can cause
-a difference. A share refers to all episodes, tested or not, because an avoider may influence whether a run
+a difference. A fraction refers to all episodes, tested or not, because an avoider may influence whether a run
 exercises the claim.
 
-An inconclusive or failed run may have violated the claim or not. Each number here holds in both cases.
+An inconclusive or failed run may have violated the claim or not. The results of this module are valid in both
+cases.
 """
 
 from __future__ import annotations
@@ -30,14 +31,15 @@ _SAME_STREAM = "only runs of the same stream can be compared in pairs"
 
 @dataclass(frozen=True, kw_only=True)
 class PairedComparison:
-    """The difference in violation probability, first avoider minus second, from ``low`` to ``high``.
+    """The difference in violation probability, first avoider minus second avoider.
 
-    This interval holds with ``confidence``. ``only_first`` counts the episodes that certainly only the first
-    avoider violates, and ``only_second`` likewise. ``both`` counts the episodes that both violate.
-    ``unclear`` counts the episodes whose difference depends on a run without a verdict.
+    The difference lies between ``low`` and ``high``. The interval holds with ``confidence``. ``only_first``
+    is the number of episodes in which certainly only the first avoider violates the claim. ``only_second`` is
+    the same number for the second avoider. ``both`` is the number of episodes in which both avoiders violate
+    the claim. ``unclear`` is the number of episodes whose difference depends on a run without a verdict.
 
-    ``seen`` is the mean difference over all episodes that are not unclear. ``p_value`` tests the hypothesis
-    that both avoiders violate the claim equally often (McNemar's exact test).
+    ``seen`` is the mean difference over all episodes except the unclear episodes. ``p_value`` tests the
+    hypothesis that both avoiders violate the claim equally often (McNemar's exact test).
     """
 
     claim: str
@@ -61,9 +63,10 @@ def compare(
     """Return the exact interval of the difference in violation probability, ``first`` minus ``second``.
 
     The difference is D = t (2 s - 1). Here t is the probability that exactly one avoider violates the claim.
-    Given such an episode, s is the probability that this is the first avoider. Both t and s have Clopper and
-    Pearson's intervals, each with half of the error. While t and s vary within these intervals, D varies
-    within its own interval. This usually holds with more than the stated confidence.
+    If exactly one avoider violates the claim, then s is the probability that it is the first avoider. Both t
+    and s have Clopper and Pearson's intervals, each with half of the error. While t and s vary within these
+    intervals, D varies within its own interval. The interval of D usually holds with more than the stated
+    confidence.
 
     Args:
         first: A sample of fixed length.
@@ -75,6 +78,7 @@ def compare(
 
     """
     _check_pair(first, second)
+    # Four ends, two each of t and s.
     chance = chance_of_each(confidence, 4)
     worst, best = _difference(first, second)
     n = len(worst)
@@ -122,26 +126,35 @@ def _check_pair(first: IndependentSample, second: IndependentSample) -> None:
 
 
 def _difference(first: IndependentSample, second: IndependentSample) -> tuple[Ints, Ints]:
-    """Return the largest and the least possible differences (n,), first minus second, each -1, 0 or 1."""
+    """Return the largest and the least possible difference of each episode, each of shape (n,).
+
+    The difference is the result of the first avoider minus the result of the second. Each difference is -1, 0
+    or 1.
+    """
     sure = [(run.outcomes == EpisodeOutcome.VIOLATED).astype(np.int64) for run in (first, second)]
     perhaps = [own | np.isin(run.outcomes, PERHAPS) for own, run in zip(sure, (first, second), strict=True)]
     return perhaps[0] - sure[1], sure[0] - perhaps[1]
 
 
 def _extreme(more: int, fewer: int, n: int, chance: float) -> float:
-    """Return the upper end of t (2 s - 1), if the first sample alone violates ``more`` of n episodes.
+    """Return the upper end of t (2 s - 1) for n episodes.
 
-    The second sample alone violates ``fewer`` episodes. At the maximum, s is at its upper end. If 2 s - 1 is
-    positive, t is at its upper end too; otherwise t is at its lower end.
+    In ``more`` episodes, only the first sample has a violation. In ``fewer`` episodes, only the second sample
+    has a violation. At the maximum, s is at its upper end. If 2 s - 1 is positive, t is at its upper end too.
+    Otherwise, t is at its lower end.
     """
     discordant = more + fewer
+    # Without an episode in which exactly one avoider violates the claim, s may be 1.
     lean = 2.0 * (upper_bound(more, discordant, chance) if discordant else 1.0) - 1.0
     share = upper_bound if lean > 0.0 else lower_bound
     return lean * share(discordant, n, chance)
 
 
 def _mcnemar(worst: Ints, best: Ints) -> float:
-    """Return the two-sided p-value, counting unclear episodes so that they least support a difference."""
+    """Return the two-sided p-value.
+
+    Unclear episodes are counted in the way that gives the least evidence of a difference.
+    """
     more, fewer = int(np.sum(best == 1)), int(np.sum(best == -1))  # counts of the least possible differences
     if more <= fewer:
         fewer, more = int(np.sum(worst == 1)), int(np.sum(worst == -1))

@@ -1,8 +1,8 @@
-"""The number of runs that a target needs, and the probability that a plan shows its target.
+"""Compute the number of runs that a target needs, and the probability that a plan shows its target.
 
-Each function evaluates the bound itself, so that a plan and its result agree. ``family`` is the number of
-bounds that hold together (``ends_of`` a plan). ``allowed`` is the number of violations that may occur;
-inconclusive and failed runs count as violations.
+Each function uses the same bound as the results, so that a plan and its result agree. ``family`` is the
+number of bounds that hold simultaneously. For a plan, ``ends_of`` returns this number. ``allowed`` is the
+number of violations that may occur. Inconclusive and failed runs are counted as violations.
 """
 
 from __future__ import annotations
@@ -26,9 +26,10 @@ _TARGET = "violated in at most"
 
 @dataclass(frozen=True, kw_only=True)
 class Aim:
-    """The aim to show that at most a share ``target`` of tested runs violates a claim, with ``confidence``.
+    """The aim to show how rarely a tested run violates a claim.
 
-    ``stop_early`` states that the runs may stop at any time.
+    The aim is met if a bound with ``confidence`` shows that a tested run violates the claim with a
+    probability of at most ``target``. ``stop_early`` states that the runs may stop at any time.
 
     Raises:
         StatisticsError: The target or the confidence is not between 0 and 1, or the family is empty.
@@ -47,10 +48,10 @@ class Aim:
         chance_of_each(self.confidence, self.family)
 
     def shown_by(self, violations: int, trials: int) -> bool:
-        """Return whether the upper bound from these counts is at most the target.
+        """Return whether the upper bound that follows from the counts is at most the target.
 
         Args:
-            violations: The number of violations; inconclusive and failed runs count as violations.
+            violations: The number of violations. Inconclusive and failed runs are counted as violations.
             trials: The number of tested runs.
 
         """
@@ -59,11 +60,12 @@ class Aim:
         chance = chance_of_each(self.confidence, self.family)
         if self.stop_early:
             return bool(evidence_below(self.target, violations, trials) >= -log(chance))
+        # Clopper and Pearson's upper bound is at most p exactly if P(Bin(n, p) <= k) is at most the error.
         return bool(scipy.special.bdtr(violations, trials, self.target) <= chance)  # quick, for many numbers
 
 
 def runs_needed(aim: Aim, *, allowed: int = 0) -> int:
-    """Return the least number of tested runs that shows ``aim`` in spite of ``allowed`` violations.
+    """Return the least number of tested runs that shows ``aim`` even if ``allowed`` violations occur.
 
     Args:
         aim: The aim.
@@ -73,6 +75,7 @@ def runs_needed(aim: Aim, *, allowed: int = 0) -> int:
         StatisticsError: Even ``MOST_RUNS`` runs cannot show the target.
 
     """
+    # Doubling finds a sufficient number, and bisection then finds the least.
     least = most = allowed + 1
     while not aim.shown_by(allowed, most):
         least, most = most + 1, 2 * most
@@ -92,7 +95,7 @@ def allowed_violations(aim: Aim, trials: int) -> int | None:
         trials: The number of tested runs.
 
     Returns:
-        The number; None if so few runs cannot show the aim even without a violation.
+        The number, or None if ``trials`` runs without any violation cannot show the aim.
 
     """
     if not aim.shown_by(0, trials):
@@ -107,16 +110,16 @@ def allowed_violations(aim: Aim, trials: int) -> int | None:
 def power(aim: Aim, runs: int, *, probability: float, tested: float = 1.0) -> float:
     """Return the probability that ``runs`` planned runs show ``aim``.
 
-    If the stream may stop early, the function returns the probability at its planned end, a lower bound.
+    If the stream may stop early, the result is the probability at the planned end, which is a lower bound.
 
     Args:
         aim: The aim.
         runs: The number of planned runs.
         probability: The true probability that a tested run violates the claim.
-        tested: The share of runs that exercise the claim. The number of tested runs is binomial.
+        tested: The fraction of runs that exercise the claim. The number of tested runs is binomial.
 
     Raises:
-        StatisticsError: ``probability`` is not in [0, 1], or ``tested`` not in (0, 1].
+        StatisticsError: ``probability`` is not in [0, 1], or ``tested`` is not in (0, 1].
 
     """
     if not (0.0 <= probability <= 1.0 and 0.0 < tested <= 1.0):
@@ -131,12 +134,12 @@ def power(aim: Aim, runs: int, *, probability: float, tested: float = 1.0) -> fl
 
 
 def runs_for_power(aim: Aim, *, probability: float, wanted: float = 0.9, most_allowed: int = 2000) -> int:
-    """Return the least number of tested runs that shows ``aim`` with the chance ``wanted``.
+    """Return the least number of tested runs that shows ``aim`` with probability ``wanted``.
 
     Args:
         aim: The aim.
         probability: The true probability that a tested run violates the claim.
-        wanted: The probability of success.
+        wanted: The wanted probability that the aim is shown.
         most_allowed: The largest number of violations to consider.
 
     Raises:
@@ -153,14 +156,14 @@ def runs_for_power(aim: Aim, *, probability: float, wanted: float = 0.9, most_al
 
 
 def runs_for_tested(tested: int, *, share: float, wanted: float = 0.9) -> int:
-    """Return the least number of runs of which ``tested`` exercise a claim with the chance ``wanted``.
+    """Return the least number of runs that contains ``tested`` tested runs with probability ``wanted``.
 
     The runs are independent, so that the number of tested runs is binomial.
 
     Args:
         tested: The wanted number of tested runs, at least 1.
         share: The probability that a run exercises the claim, in (0, 1].
-        wanted: The probability of at least ``tested`` tested runs, between 0 and 1.
+        wanted: The wanted probability of at least ``tested`` tested runs, between 0 and 1.
 
     Raises:
         StatisticsError: An argument is out of its range, or ``MOST_RUNS`` runs are not enough.
@@ -183,16 +186,16 @@ def runs_for_tested(tested: int, *, share: float, wanted: float = 0.9) -> int:
 
 
 def refuse_if_impossible(aim: Aim, planned: int, *, tested: float = 1.0, place: Place | None = None) -> None:
-    """Raise StatisticsError if the runs of a plan cannot show ``aim`` even without a violation.
+    """Raise StatisticsError if a plan's runs cannot show ``aim`` even if no run violates the claim.
 
     Args:
         aim: The aim.
         planned: The number of planned runs.
-        tested: The expected share of runs that exercise the claim.
-        place: The place of the number of runs in the plan; None: the field ``runs``.
+        tested: The expected fraction of runs that exercise the claim.
+        place: The place in the plan that states the number of runs. The default is the field ``runs``.
 
     Raises:
-        StatisticsError: The plan has too few runs; the error states the sufficient number.
+        StatisticsError: The plan has too few runs. The error states the sufficient number.
 
     """
     if aim.shown_by(0, math.floor(planned * tested)):

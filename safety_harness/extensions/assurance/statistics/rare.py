@@ -13,12 +13,13 @@ A move in standard normal space is z' = sqrt(1 - b^2) z + b x. Here b is the ste
 normal. A move to a margin above the level is refused. The normal distribution function maps z to a point of
 the unit cube.
 
-A pilot run fixes the levels and the step lengths. Then come R independent replications. These do not adapt.
-Therefore the expectation of each estimate is the probability, however badly the moves mix.
+A pilot run fixes the levels and the step lengths. R independent replications follow, which keep these levels
+and step lengths. Therefore each estimate is unbiased, even if the moves mix badly.
 
-The lower end of the interval is Student's. The replications cannot give an upper end, because a region
-without a particle leaves no sign in their spread. Therefore the upper end comes from plain draws by Clopper
-and Pearson: the first draws of each replication and of the pilot. It is exact, but so few draws make it wide.
+The lower end of the interval comes from Student's t distribution. The replications cannot give an upper end,
+because their spread cannot show that there is a region without a particle. Therefore, the upper end is
+computed only from plain draws, with the method of Clopper and Pearson. The plain draws are the first draws of
+each replication and of the pilot. This upper end is exact, but so few draws make it wide.
 """
 
 from __future__ import annotations
@@ -43,18 +44,20 @@ Margins = Callable[[Floats], Floats]
 LARGEST_SHAPE = 0.7  # of the weights' tail (Vehtari, Simpson, Gelman, Yao and Gabry, 2024)
 _MOST_OF_SUM = 0.5  # that a single replication may contribute
 _BELOW_ONE = math.nextafter(1.0, 0.0)  # the cube [0, 1) excludes 1, which ndtr gives for z above 8.3
-_MOST_LEVELS = 60
+_MOST_LEVELS = 60  # a quarter of the particles passes each level, so 60 levels reach 4^-60 = 8e-37
 
 
 @dataclass(frozen=True, kw_only=True)
 class Splitting:
-    """The settings: ``particles`` N, ``steps`` of moves on each level, and ``replications`` R.
+    """The settings of splitting.
 
-    ``survivors`` is the share of the pilot's particles that pass each level.
+    ``particles`` (N) is the number of particles in each replication. ``steps`` is the number of moves on each
+    level, and ``replications`` (R) is the number of replications. ``survivors`` is the fraction of the
+    pilot's particles that pass each level.
 
     Raises:
-        StatisticsError: There are no particles or steps, fewer than two replications, or a share that is not
-            between 0 and 1.
+        StatisticsError: There are no particles or steps, fewer than two replications, or a fraction that is
+            not between 0 and 1.
 
     """
 
@@ -74,14 +77,15 @@ class Splitting:
 class RareEstimate:
     """The estimated probability of a violation, within the regions that the method reached.
 
-    ``low`` is approximate; docs/results/intervals.md has its coverage on problems with known answers.
-    ``high`` is exact: it comes from ``plain_draws`` alone, which had ``plain_violations`` violations.
+    ``low`` is approximate. docs/results/intervals.md reports its coverage on problems with known answers.
+    ``high`` is exact, because it is computed only from the number of plain draws and the number of violations
+    among them.
 
-    ``replicates`` are the estimates of the replications, and ``reached`` counts the positive estimates.
+    ``replicates`` are the estimates of the replications, and ``reached`` is the number of positive estimates.
     ``levels`` are the margins of the steps (SI). ``evaluations`` counts the judged points. ``model_only`` is
     true if the margins come from a simplified world.
 
-    ``pareto_shape`` is the shape of the largest weights in importance sampling; None for splitting.
+    ``pareto_shape`` is the shape of the largest weights in importance sampling, and None for splitting.
     ``still_found`` is true if the last restart of importance sampling found a new region.
     """
 
@@ -101,7 +105,7 @@ class RareEstimate:
 
     @property
     def no_estimate(self) -> str:
-        """The reason why the estimate of the replications is not reliable; empty if it is reliable."""
+        """The reason why the estimate of the replications is not reliable, or "" if it is reliable."""
         if self.reached < len(self.replicates):
             return f"{self.reached} of {len(self.replicates)} replications found a violation"
         if max(self.replicates) >= _MOST_OF_SUM * sum(self.replicates):
@@ -116,7 +120,10 @@ class RareEstimate:
 
     @property
     def as_many_draws(self) -> float:
-        """The number of plain draws with the same standard error; NaN if all replications agree."""
+        """The number of plain draws that would give the same standard error.
+
+        The number is NaN if all replications agree.
+        """
         mean, spread = np.mean(self.replicates), np.var(self.replicates, ddof=1)
         return float(mean * (1 - mean) * len(self.replicates) / spread) if spread > 0.0 else np.nan
 
@@ -135,8 +142,8 @@ def split(
     Args:
         margins: A function from points (n, d) of the cube to margins (n,), which may be random.
         dimensions: The number d.
-        seed: The root of all draws.
-        how: The settings; None: the default settings ``Splitting()``.
+        seed: The seed from which all draws derive.
+        how: The settings. The default is ``Splitting()``.
         confidence: The confidence of the interval, between 0 and 1.
         model_only: Whether the margins come from a simplified world.
 
@@ -148,6 +155,7 @@ def split(
     settings = how or Splitting()
     shape = (settings.particles, dimensions)
     pilot, *rngs = (generator(seed, Branch.STATISTICS, 2, r) for r in range(settings.replications + 1))
+    # The levels come from a separate pilot: fixed levels make the product of fractions unbiased.
     levels, lengths = _pilot(_Particles(judged, shape, pilot), settings)
     replicates = np.array(
         [_replication(_Particles(judged, shape, rng), settings.steps, levels, lengths) for rng in rngs]
@@ -169,7 +177,7 @@ def estimate_of(
         replicates: The estimates of the replications (n,).
         levels: The margins of the steps (SI).
         judged: The function of margins, which has counted the points and the plain draws.
-        confidence: The confidence of the interval, between 0 and 1; each end has half of its error.
+        confidence: The confidence of the interval, between 0 and 1. Each end has half of the error.
         model_only: Whether the margins come from a simplified world.
 
     """
@@ -190,9 +198,10 @@ def estimate_of(
 
 
 class JudgedMargins:
-    """A function of margins at points in standard normal space, which checks and counts them.
+    """A function of margins at points in standard normal space.
 
-    It also counts the plain draws that ``count_plain`` receives.
+    The function checks the margins and counts the points. The function also counts the plain draws that
+    ``count_plain`` receives.
     """
 
     def __init__(self, margins: Margins) -> None:
@@ -200,7 +209,10 @@ class JudgedMargins:
         self.count = self.plain_draws = self.plain_violations = 0
 
     def __call__(self, normal: Floats) -> Floats:
-        """Return the margins (n,) at points ``normal`` (n, d); StatisticsError for NaN or a wrong shape."""
+        """Return the margins (n,) at points ``normal`` (n, d).
+
+        Raise StatisticsError for NaN or a wrong shape.
+        """
         margins = np.asarray(self._margins(np.minimum(lower_tail(normal), _BELOW_ONE)), np.float64)
         self.count += len(normal)
         if margins.shape != (len(normal),) or np.isnan(margins).any():
@@ -209,7 +221,10 @@ class JudgedMargins:
         return margins
 
     def count_plain(self, margins: Floats) -> None:
-        """Count plain draws with the ``margins`` (n,), drawn from the distribution of the cube's points."""
+        """Count plain draws, given their ``margins`` (n,).
+
+        Plain draws come from the distribution of the cube's points.
+        """
         self.plain_draws += len(margins)
         self.plain_violations += int(np.count_nonzero(margins < 0.0))
 
@@ -222,7 +237,7 @@ def lower_end(replicates: Floats, chance: float) -> float:
         chance: The probability that the end exceeds the truth.
 
     Returns:
-        The end, within [0, 1]; 0 if all estimates are equal.
+        The lower end, limited to [0, 1]. It is 0 if all estimates are equal.
 
     """
     n, mean = len(replicates), float(replicates.mean())
@@ -233,7 +248,10 @@ def lower_end(replicates: Floats, chance: float) -> float:
 
 
 def _student(freedom: int, chance: float) -> float:
-    """Return the quantile that Student's t exceeds with probability ``chance``, which is below a half."""
+    """Return the quantile that Student's t exceeds with probability ``chance``.
+
+    ``chance`` is below 0.5.
+    """
 
     def rarer(t: Floats) -> Floats:
         return np.asarray(0.5 * beta_share(0.5 * freedom, 0.5, freedom / (freedom + t * t)) <= chance)
@@ -242,10 +260,10 @@ def _student(freedom: int, chance: float) -> float:
 
 
 def _pilot(particles: _Particles, how: Splitting) -> tuple[list[float], list[float]]:
-    """Return the levels down to 0, and the step length for each level before the last.
+    """Return the descending levels, which end at 0, and the step length for each level except the last.
 
-    The particles' margins suggest each level. If no quantile of the margins gets below a plateau, the next
-    level is 0.
+    Each level is a quantile of the particles' margins. If this quantile does not fall below the previous
+    level, the next level is 0.
     """
     levels: list[float] = []
     lengths: list[float] = []
@@ -259,21 +277,25 @@ def _pilot(particles: _Particles, how: Splitting) -> tuple[list[float], list[flo
         particles.resample(level)
         for _ in range(how.steps):
             moved = particles.move(level, length)
+            # Longer steps if more than 40 % of the moves succeed, and shorter steps otherwise; 40 % is a
+            # choice.
             length = float(np.clip(length * exp(moved - 0.4), 0.01, 0.99))
         lengths.append(length)
 
 
 def next_level(margins: Floats, survivors: float) -> float:
-    """Return the level below which a share ``survivors`` of the margins lies.
+    """Return the level below which a fraction ``survivors`` of the margins lies.
 
     Args:
         margins: The margins of the particles (n,).
-        survivors: The share.
+        survivors: The fraction.
 
     Returns:
-        The level; the second least margin if many share the least margin, 0 if all margins are equal.
+        The level. It is the second least margin if many margins equal the least margin, and 0 if all margins
+        are equal.
 
     """
+    # ``higher`` returns a margin that occurs, so the comparison below separates ties from smaller margins.
     level = float(np.quantile(margins, survivors, method="higher"))
     if not np.any(margins < level):  # many share the least margin: take the next
         level = float(np.min(margins[margins > level], initial=math.inf))
@@ -281,9 +303,14 @@ def next_level(margins: Floats, survivors: float) -> float:
 
 
 def _replication(particles: _Particles, steps: int, levels: list[float], lengths: list[float]) -> float:
-    """Return the product of the shares that survive each level; 0 if no particle survives a level."""
+    """Return the product of the fractions of particles that survive each level.
+
+    The product is 0 if no particle survives a level.
+    """
     product = 1.0
     for number, level in enumerate(levels):
+        # The fractions are conditional probabilities, because the particles below the last level were moved
+        # there.
         product *= float((particles.margins < level).mean())
         if product == 0.0 or number == len(lengths):
             break
@@ -294,7 +321,10 @@ def _replication(particles: _Particles, steps: int, levels: list[float], lengths
 
 
 class _Particles:
-    """Points (n, d) of standard normal space and their margins (n,); the first points are plain draws."""
+    """Points of standard normal space, shape (n, d), and their margins, shape (n,).
+
+    The first points are plain draws.
+    """
 
     def __init__(self, judged: JudgedMargins, shape: tuple[int, int], rng: np.random.Generator) -> None:
         self._judged, self._rng = judged, rng
@@ -308,11 +338,14 @@ class _Particles:
         self.points, self.margins = self.points[chosen], self.margins[chosen]
 
     def move(self, level: float, length: float) -> float:
-        """Move each particle by a Metropolis step that stays below ``level``; return the share that moved.
+        """Move each particle by a Metropolis step that stays below ``level``.
 
-        A point z moves to sqrt(1 - b^2) z + b x, where b is ``length`` and x is standard normal.
+        Return the fraction of particles that moved. A point z moves to sqrt(1 - b^2) z + b x, where b is
+        ``length`` and x is standard normal.
         """
         drawn = standard_normal(self._rng, self.points.shape)
+        # This step keeps the standard normal distribution, so the level alone decides whether to accept the
+        # move.
         proposed = math.sqrt(1.0 - length * length) * self.points + length * drawn
         margins = self._judged(proposed)
         accepted = margins < level

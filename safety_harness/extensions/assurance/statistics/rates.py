@@ -3,9 +3,10 @@
 Approaches are a Poisson process with a rate r. At worst, each approach is a run that violates a claim with
 the probability p. Then violations occur at the rate r p, whatever the pattern of the approaches.
 
-Suppose that r exceeds its bound R with a probability of at most a, and p its bound P with at most b. Then r p
-exceeds R P with a probability of at most a + b (Boole). The two errors need not be independent. The rates of
-approaches share one half of the error, and the bounds per run share the other half.
+Suppose that r exceeds its bound R with a probability of at most a, and that p exceeds its bound P with a
+probability of at most b. Then r p exceeds R P with a probability of at most a + b (Boole). The two errors
+need not be independent. One half of the error is divided among the rates of approaches. The other half is
+divided among the bounds per run.
 """
 
 from __future__ import annotations
@@ -20,13 +21,13 @@ from safety_harness.extensions.assurance.statistics.sample import IndependentSam
 
 
 def most_an_hour(count: int, hours: float, chance: float) -> float:
-    """Return the upper bound of a Poisson rate an hour, by Garwood (1936).
+    """Return Garwood's (1936) upper bound of a Poisson rate, in events an hour.
 
-    At this rate, ``count`` events or fewer occur with the probability ``chance``.
+    If the true rate equals the bound, ``count`` events or fewer occur with probability ``chance``.
 
     Args:
         count: The number of events.
-        hours: The time of observation; if it is 0, the bound is infinite.
+        hours: The time of observation. If the time is 0, the bound is infinite.
         chance: The largest probability that the true rate exceeds the bound.
 
     """
@@ -38,7 +39,10 @@ def most_an_hour(count: int, hours: float, chance: float) -> float:
 
 @dataclass(frozen=True)
 class SharedError:
-    """The error that ``confidence`` allows: half for the ``rates`` of approaches, half for bounds per run."""
+    """The probability of error that ``confidence`` leaves, divided into two halves.
+
+    All ``rates`` bounds of approach rates share one half. The bounds per run share the other half.
+    """
 
     confidence: float
     rates: int
@@ -50,7 +54,7 @@ class SharedError:
 
     @property
     def confidence_of_runs(self) -> float:
-        """The confidence with which all bounds per run hold together."""
+        """The confidence with which all bounds per run hold simultaneously."""
         return 1.0 - (1.0 - self.confidence) / 2.0
 
     def worst_run(self, samples: Sequence[IndependentSample], claims: int = 1) -> ProbabilityBounds:
@@ -58,7 +62,7 @@ class SharedError:
 
         Args:
             samples: One sample of the claim per stratum.
-            claims: The number of claims whose bounds hold together.
+            claims: The number of claims whose bounds hold simultaneously.
 
         """
         bounds = bounds_of(samples, self.confidence_of_runs, family=claims * len(samples))

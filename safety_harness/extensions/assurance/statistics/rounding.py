@@ -10,7 +10,7 @@ def rounded_up(share: float) -> str:
     """Return an upper bound with three digits, rounded up.
 
     Args:
-        share: The bound. Values outside (0, 1) stay as they are.
+        share: The bound. A value outside (0, 1) is written with up to six digits instead.
 
     """
     return _rounded(share, math.ceil)
@@ -20,14 +20,17 @@ def rounded_down(share: float) -> str:
     """Return a lower bound with three digits, rounded down.
 
     Args:
-        share: The bound. Values outside (0, 1) stay as they are.
+        share: The bound. A value outside (0, 1) is written with up to six digits instead.
 
     """
     return _rounded(share, math.floor)
 
 
 def _rounded(share: float, to_whole: Callable[[float], int]) -> str:
-    """Return ``share`` rounded to three digits; a number within 1e-9 of three digits takes these digits."""
+    """Return ``share`` rounded to three digits.
+
+    If only a rounding error separates ``share`` from a number with three digits, the result is that number.
+    """
     if not 0.0 < share < 1.0:
         return f"{share:g}"
     digit = float(f"1e{int(f'{share:.17e}'.split('e')[1]) - 2}")  # 10**k may differ between C libraries

@@ -1,8 +1,10 @@
-"""Samples for estimates: the whole declared stream of independent episodes.
+"""Samples for estimates.
 
-The runs of a search are no sample, because the search chooses them. Therefore each estimator of this package
-requires an ``IndependentSample``. Only ``of_stream`` constructs it. It requires an earlier declaration, and
-all episodes from the first on. Each episode must appear once and have its own seed.
+A sample is the complete declared stream of independent episodes. The runs of a search are no sample, because
+the search chooses its runs. Therefore each estimator of this package requires an ``IndependentSample``. Only
+``of_stream`` constructs such a sample. This constructor requires a declaration that is older than the runs,
+and a complete series of episodes that begins with episode 0. Each episode must appear once and have its own
+seed.
 """
 
 from __future__ import annotations
@@ -43,12 +45,12 @@ PERHAPS = (EpisodeOutcome.INCONCLUSIVE, EpisodeOutcome.FAILED)  # possible viola
 class Declaration:
     """The terms of a stream of episodes, fixed before its first run.
 
-    ``plan_sha256`` identifies the plan and all that its results depend on. ``draws_sha256`` identifies all
-    that determines the scenarios, whatever avoider runs. ``planned`` is the number of episodes, and ``world``
-    is the world of the runs.
+    ``plan_sha256`` identifies the plan and everything on which its results depend. ``draws_sha256``
+    identifies everything that determines the scenarios, regardless of the avoider. ``planned`` is the number
+    of episodes, and ``world`` is the world of the runs.
 
-    ``stop_early`` states that the runs may stop at any time. This needs bounds that hold at every time
-    (``sequential``).
+    ``stop_early`` states that the runs may stop at any time. Such a stream needs bounds that hold at every
+    time (``sequential``).
 
     Raises:
         StatisticsError: No episode is planned, or a hash is no SHA-256.
@@ -79,9 +81,10 @@ class Declaration:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class IndependentSample:
-    """Outcomes, margins and seeds (n,) of one claim, in the order of the episodes, made by ``of_stream``.
+    """The outcomes, margins and seeds of one claim, each of shape (n,), in the order of the episodes.
 
-    Margins are SI, and NaN if there is no margin. The arrays are read-only.
+    Only ``of_stream`` makes a sample. A margin is in SI units, and NaN if there is no margin. The arrays are
+    read-only.
 
     Raises:
         TypeError: The caller is not ``of_stream``.
@@ -111,21 +114,21 @@ class IndependentSample:
         exercised: ArrayLike,
         claim: str = "",
     ) -> IndependentSample:
-        """Return the sample of a declared stream, after checking that the stream is whole.
+        """Return the sample of a declared stream, after checking that the stream is complete.
 
         Args:
             declaration: The terms of the stream.
             episodes: The numbers of the episodes (n,), in any order.
             outcomes: The ``EpisodeOutcome`` of each episode (n,).
-            margins: The margin of each episode (n,) in SI, NaN if there is no margin.
+            margins: The margin of each episode (n,) in SI units, or NaN if there is no margin.
             seeds: The root seed of each episode (n,).
             exercised: The number of occasions on which each episode exercised the claim (n,).
             claim: The claim, for messages and comparisons.
 
         Raises:
-            StatisticsError: The episodes are not 0 to n - 1, once each. Their number is not the planned
-                number (with ``stop_early``, it may be smaller). Two episodes share a seed. An outcome
-                contradicts its margin or its occasions.
+            StatisticsError: An episode from 0 to n - 1 is missing or repeated. The number of episodes is not
+                the planned number (with ``stop_early``, it may be smaller). Two episodes share a seed. An
+                outcome contradicts its margin or its occasions.
 
         """
         codes, signed, roots = checked_stream(declaration, episodes, outcomes, margins, seeds, exercised)
@@ -144,12 +147,18 @@ class IndependentSample:
 
     @property
     def judged(self) -> Flags:
-        """Whether each episode (n,) has a verdict; without a verdict, its margin does not count."""
+        """For each episode, whether it has a verdict, shape (n,).
+
+        The margin of an episode without a verdict is ignored.
+        """
         return np.isin(self.outcomes, JUDGED)
 
     @property
     def trials(self) -> int:
-        """The number of episodes that exercised the claim or may have done so: all except the untested."""
+        """The number of episodes that exercised the claim or may have done so.
+
+        Only untested episodes are excluded.
+        """
         return len(self.outcomes) - self.count(EpisodeOutcome.UNTESTED)
 
     @property
@@ -169,7 +178,7 @@ class IndependentSample:
 
 
 def independent(sample: object) -> IndependentSample:
-    """Return ``sample`` itself if it is an IndependentSample.
+    """Check that ``sample`` is an IndependentSample, and return it.
 
     Args:
         sample: Any object.
@@ -187,7 +196,7 @@ def independent(sample: object) -> IndependentSample:
 
 
 def fixed_length(sample: object) -> IndependentSample:
-    """Return ``sample`` itself if its length was fixed beforehand.
+    """Check that the length of ``sample`` was fixed beforehand, and return ``sample``.
 
     Args:
         sample: Any object.
@@ -215,19 +224,21 @@ def checked_stream(
     *,
     dimensions: int = 1,
 ) -> tuple[Ints, Floats, Ints]:
-    """Return the outcomes, margins and seeds of a stream in the order of its episodes, read-only.
+    """Return the outcomes, margins and seeds of a stream as read-only arrays, in the order of its episodes.
 
     Args:
         declaration: The terms of the stream.
         episodes: The numbers of the episodes (n,), in any order.
         outcomes: The outcomes (n,), or (n, k) for k claims.
-        margins: The margins (SI), of the same shape.
-        seeds: The root seeds, of the same shape.
-        exercised: The numbers of occasions, of the same shape.
-        dimensions: 1 for the shape (n,), 2 for (n, k).
+        margins: The margins (SI), of the same shape as the outcomes.
+        seeds: The root seeds, of the same shape as the outcomes.
+        exercised: The numbers of occasions, of the same shape as the outcomes.
+        dimensions: The number of dimensions of the outcomes: 1 for the shape (n,), and 2 for the shape (n,
+            k).
 
     Raises:
-        StatisticsError: The stream is not whole; see ``IndependentSample.of_stream``.
+        StatisticsError: The stream is not complete. The conditions are those of
+            ``IndependentSample.of_stream``.
 
     """
     numbers, codes, roots, occasions = map(np.asarray, (episodes, outcomes, seeds, exercised))
@@ -252,7 +263,7 @@ def checked_stream(
 
 
 def _check_complete(declaration: Declaration, numbers: NDArray[np.integer]) -> None:
-    """Raise StatisticsError unless the episodes are 0 to n - 1, once each, and as many as declared."""
+    """Raise StatisticsError unless each episode from 0 to n - 1 occurs once, and n is as declared."""
     n, planned = len(numbers), declaration.planned
     where = f"of stratum {declaration.stratum!r}"
     wanted = f"the {planned} planned episodes {where}"
@@ -272,7 +283,7 @@ def _check_complete(declaration: Declaration, numbers: NDArray[np.integer]) -> N
 
 
 def _check_seeds(declaration: Declaration, numbers: NDArray[np.integer], seeds: NDArray[np.integer]) -> None:
-    """Raise StatisticsError if two runs share a seed, because a repeated run is no further evidence."""
+    """Raise StatisticsError if two runs share a seed, because a repeated run gives no additional evidence."""
     distinct, times = np.unique(seeds, return_counts=True)
     if len(distinct) < seeds.size:
         twice = distinct[np.argmax(times > 1)]
@@ -284,7 +295,10 @@ def _check_seeds(declaration: Declaration, numbers: NDArray[np.integer], seeds: 
 
 
 def _check_outcomes(declaration: Declaration, codes: Ints, margins: Floats) -> None:
-    """Raise StatisticsError for unknown outcomes, or for ``margins`` (n,) or (n, k) that contradict them."""
+    """Raise StatisticsError for unknown outcomes, or if ``margins`` contradicts the outcomes.
+
+    The shape of the margins is (n,) or (n, k).
+    """
     where = f"in stratum {declaration.stratum!r}"
     unknown = ~np.isin(codes, [int(outcome) for outcome in EpisodeOutcome])
     if unknown.any():
@@ -311,7 +325,7 @@ def _check_outcomes(declaration: Declaration, codes: Ints, margins: Floats) -> N
 
 
 def _check_occasions(declaration: Declaration, codes: Ints, occasions: NDArray[np.integer]) -> None:
-    """Raise StatisticsError if an untested run has an occasion, or a run holds without an occasion."""
+    """Raise StatisticsError if an untested run has an occasion, or if a run that holds has no occasion."""
     tested = occasions > 0
     for contradicted, expected in (
         (occasions < 0, "numbers of occasions"),
@@ -333,13 +347,13 @@ def _first(having: Flags) -> tuple[int, ...]:
 
 
 def refusal(field: str, expected: str, got: str, hint: str = "") -> StatisticsError:
-    """Return a StatisticsError for the caller to raise.
+    """Return a StatisticsError, which the caller raises.
 
     Args:
         field: The argument or declared field with the error.
-        expected: The expected value, in words.
-        got: The actual value, in words.
-        hint: The advice; empty: no advice.
+        expected: A text that describes the expected value.
+        got: A text that describes the actual value.
+        hint: A hint for the user, or an empty string.
 
     """
     return StatisticsError(place=Place(field=field), expected=expected, got=got, hint=hint)

@@ -1,4 +1,4 @@
-"""The command ``safety-harness hands``, which makes a scenario space from approaches of recorded hands."""
+"""Define the command ``safety-harness hands``, which makes a scenario space from recorded hands."""
 
 from __future__ import annotations
 
@@ -10,26 +10,31 @@ from typer import Argument, Option, Typer
 from safety_harness.cli.console import AS_EXPECTED, document, result, say
 from safety_harness.cli.options import Seed, command
 
-_HELP = "Make a scenario space of recorded hands."
+_HELP = "Make a scenario space from recorded hands."
 commands = Typer(name="hands", no_args_is_help=True, help=_HELP, short_help=_HELP)
 
 
 @commands.callback()
 def _group() -> None:
-    """Make ``fit`` a command of the group ``hands``, although the group has no other command."""
+    """Keep ``fit`` a subcommand of ``hands``, although the group has no other command."""
 
 
 @command(commands, "fit", then="safety-harness fuzz {out}")
 def fit(
-    logs: Annotated[list[Path], Argument(help="Descriptions of logs with hands.", metavar="LOG.yaml...")],
-    out: Annotated[Path, Option(help="The space that is written.", metavar="FILE")] = Path("hands.yaml"),
+    logs: Annotated[
+        list[Path], Argument(help="The descriptions of logs that contain hands.", metavar="LOG.yaml...")
+    ],
+    out: Annotated[Path, Option(help="The file for the scenario space.", metavar="FILE")] = Path(
+        "hands.yaml"
+    ),
     seed: Seed = 0,
 ) -> int:
-    """Fit a scenario space to the approaches of hands.
+    """Fit a scenario space to recorded approaches of hands.
 
-    It fits speed, acceleration, direction, dwell, pauses and approaches per
-    hour, and writes a space that fuzz and sample take. A quantity that no
-    distribution fits keeps its recorded values.
+    The command fits the speed, the acceleration, the direction, the dwell time,
+    the pauses and the number of approaches per hour. It writes a scenario space
+    for the commands fuzz and sample. If no distribution fits a quantity, the
+    space draws the recorded values instead.
 
     Exit code 0: the space is written.
     Exit code 2: a log cannot be used, or there are too few approaches.

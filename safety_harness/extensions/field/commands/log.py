@@ -1,4 +1,4 @@
-"""The commands ``safety-harness log``, which check a log and its clocks before ``judge`` uses them."""
+"""Define the commands ``safety-harness log``, which check a log and its clocks before ``judge`` uses them."""
 
 from __future__ import annotations
 
@@ -10,20 +10,21 @@ from typer import Argument, Option, Typer
 from safety_harness.cli.console import AS_EXPECTED, document, result, say
 from safety_harness.cli.options import command
 
-_HELP = "List a log's unconfirmed assumptions, or estimate how far its clocks are apart."
+_HELP = "List the assumptions about a log, or estimate the offset between its clocks."
 commands = Typer(name="log", no_args_is_help=True, help=_HELP, short_help=_HELP)
 
 
 @command(commands, "check", then="safety-harness judge {log}")
 def check(log: Annotated[Path, Argument(help="The description of a log.", metavar="LOG.yaml")]) -> int:
-    """List the assumptions of verdicts on a log.
+    """List the assumptions on which verdicts on a log depend.
 
-    For each it prints the evidence in the log, or the column that would be
-    evidence. It reads the whole log, as judge does, and prints the omitted
-    columns, tracks and intervals.
+    For each assumption, the command prints the evidence in the log, or the data
+    that would confirm the assumption. It reads the whole log, as the command
+    judge does, and prints the columns, tracks and intervals that it leaves out.
 
-    Exit code 0: the list is printed, also with unconfirmed assumptions.
-    Exit code 2: the log contradicts itself or its file, or cannot be read.
+    Exit code 0: the list is printed, even if some assumptions are unconfirmed.
+    Exit code 2: the log cannot be read, or contradicts itself or its
+    description.
     """
     from dataclasses import asdict
 
@@ -45,17 +46,19 @@ def check(log: Annotated[Path, Argument(help="The description of a log.", metava
 def align(
     log: Annotated[Path, Argument(help="The description of a log.", metavar="LOG.yaml")],
     body: Annotated[
-        str | None, Option(help="The hand that moved with the tool; default: the only hand.", metavar="NAME")
+        str | None,
+        Option(help="The hand that moved with the tool. Default: the only hand in the log.", metavar="NAME"),
     ] = None,
 ) -> int:
-    """Estimate the lead of the hands' clock.
+    """Estimate how far the hands' clock is ahead.
 
-    The body moves with the tool for some seconds: a marker on the flange, or a
-    hand that holds on to it. The command prints the line for LOG.yaml, and
-    ignores the present key "clock".
+    The log must show a body that moves with the tool for some seconds, such as
+    a marker on the flange or a hand that grips the tool. The command prints the
+    line for LOG.yaml. If LOG.yaml already has the key "clock", the command
+    ignores this key.
 
     Exit code 0: the line is printed.
-    Exit code 2: the lead cannot be estimated.
+    Exit code 2: the lead of the clock cannot be estimated.
     """
     from safety_harness.base.exceptions import LogError
     from safety_harness.extensions.field.logs.align import align as estimate

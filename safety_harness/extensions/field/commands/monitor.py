@@ -1,4 +1,4 @@
-"""The command ``safety-harness monitor``, which watches claims on the stream of a live cell."""
+"""Define the command ``safety-harness monitor``, which evaluates claims on the live data of a cell."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ commands = Typer()
 OPTIONS = {"robot": "--robot", "log.hands": "--hand", "log.period": "--period"}  # by the field that each sets
 REFUSED_TOLD = 5  # unusable lines that are explained; further ones are only counted
 CHUNK = 65_536
-MOST_WAIT_S = 10.0
+MOST_WAIT_S = 10.0  # a choice
 
 
 @command(commands, "monitor", json=False)
@@ -32,64 +32,80 @@ def monitor(
     cell: Annotated[
         Path | None,
         Argument(
-            help="A LOG.yaml with the accuracy of the cell's data, and with claims. Its streams stay closed.",
+            help="A LOG.yaml that states claims and the accuracy of the cell's data. The command does not "
+            "open the recordings to which it refers.",
             metavar="LOG.yaml",
             show_default=False,
         ),
     ] = None,
     claim: Annotated[
         list[str] | None,
-        Option(help="A formula, in place of the file's claims. May be repeated.", metavar="SENTENCE"),
+        Option(help="A formula that replaces the claims of LOG.yaml. May be repeated.", metavar="SENTENCE"),
     ] = None,
     robot: Annotated[
         str | None,
-        Option(help="UR10, UR5, UR3 or an arm's file; only without a LOG.yaml.", metavar="ROBOT"),
+        Option(
+            help="The arm: UR10, UR5, UR3 or the file of an arm. Only without a LOG.yaml.", metavar="ROBOT"
+        ),
     ] = None,
     hand: Annotated[
         list[str] | None,
         Option(
-            help="A hand's name in the stream; default: 'hand' if a claim has the word. Only without a "
-            "LOG.yaml. May be repeated.",
+            help="The name of a hand in the stream. Default: 'hand', if a claim contains this word. Only "
+            "without a LOG.yaml. May be repeated.",
             metavar="NAME",
         ),
     ] = None,
     period: Annotated[
         str | None,
-        Option(help="Time between ticks; default: '8 ms'. Only without a LOG.yaml.", metavar="TIME"),
+        Option(help="Time between two ticks. Default: '8 ms'. Only without a LOG.yaml.", metavar="TIME"),
     ] = None,
     wait: Annotated[
-        str, Option(help="How long a line waits for earlier ones that come later.", metavar="TIME")
+        str,
+        Option(
+            help="Time for which the monitor delays each line, so that a late line with an earlier time "
+            "can still come first. At most 10 s.",
+            metavar="TIME",
+        ),
     ] = "0 ms",
     out: Annotated[
         Path | None,
-        Option(help="Folder for the monitor's own log, in parts that judge reads.", show_default=False),
+        Option(
+            help="Folder for the monitor's own log, in parts that the command judge can read. Without it, "
+            "no log is written.",
+            show_default=False,
+        ),
     ] = None,
-    part: Annotated[int, Option(help="Size of a part of the log, in MB.", min=1, metavar="MB")] = 100,
-    keep: Annotated[int, Option(help="Number of parts to keep; the oldest are deleted.", min=2)] = 10,
+    part: Annotated[int, Option(help="Largest size of a part of the log, in MB.", min=1, metavar="MB")] = 100,
+    keep: Annotated[
+        int, Option(help="Number of parts of the log to keep; the oldest parts are deleted.", min=2)
+    ] = 10,
     json_lines: Annotated[
-        bool, Option("--json", help="A JSON object a line in place of lines for people.")
+        bool, Option("--json", help="Print one JSON object per line instead of lines for people.")
     ] = False,
 ) -> int:
-    """Watch claims on a live cell. It is no safety function.
+    """Watch claims on a live cell. This is no safety function.
 
-    It prints a line whenever the verdict on a claim changes. Standard input has JSON lines, such as
+    The command prints a line whenever the verdict on a claim changes. It reads JSON lines from standard
+    input, such as
 
     {"time_s": 1.008, "joint_position_rad": [0, -1.2, 1.9, -2.2, -1.5, 0], "hands": {"hand":
     {"hand_position_in_base_m": [0.9, 0.1, 0.3], "elbow_position_in_base_m": [1.2, 0.1, 0.4]}}}
 
-    Joints and hands may come in lines of their own. A hand that is null is lost, and claims on it are
-    inconclusive at once. Verdicts equal those of judge on a log of the same data with the same LOG.yaml:
-    certain within its statements, else inconclusive.
+    Joints and hands may arrive on separate lines. If a hand is null, this hand is lost, and claims on it are
+    inconclusive at once. The verdicts equal the verdicts of the command judge on a log of the same data with
+    the same LOG.yaml. A verdict is either inconclusive, or certain if the statements in LOG.yaml are true.
 
     robot_stream | safety-harness monitor --robot ur10 --claim "always hand distance > 50 mm"
 
-    The log survives in all cases. At the end of the stream:
+    The log that --out writes remains, even if the command fails. The exit code describes the end of the
+    stream.
 
     Exit code 0: every claim holds.
     Exit code 1: a claim is violated, inconclusive or not watched.
     Exit code 1 too: the last line of the stream is unusable.
     Exit code 2: bad input, or a stream without usable joints.
-    Exit code 130: interrupted.
+    Exit code 130: interrupted; the log remains.
     """
     from safety_harness.base.exceptions import Place, SettingsError
     from safety_harness.extensions.field.monitoring.cell import assumptions_of
@@ -127,14 +143,15 @@ def monitor(
 
 
 def follow(own: Monitor, stream: Iterable[bytes | None], patience_s: float, *, as_json: bool) -> bool:
-    """Feed every line of ``stream`` to the monitor, and return whether the last line was usable.
+    """Feed every line of ``stream`` to the monitor, and return True if the last line was usable.
 
-    If the program that writes the stream dies, its last line may be cut. A stream without joints for
-    ``patience_s`` is silent, even if other lines come.
+    If the program that writes the stream dies, its last line may be cut. If no line with joint positions
+    arrives for ``patience_s``, the monitor treats the stream as silent. Lines without joint positions make no
+    difference.
 
     Args:
         own: The monitor.
-        stream: The lines, and None after every ``patience_s`` without a line.
+        stream: The lines, and one None each time ``patience_s`` passes without a line.
         patience_s: The longest time without joints [s].
         as_json: True to print JSON lines.
 
@@ -164,7 +181,7 @@ def follow(own: Monitor, stream: Iterable[bytes | None], patience_s: float, *, a
 def _cell(
     file: Path | None, claims: list[str], robot: str | None, hands: list[str] | None, period: str | None
 ) -> WatchedCell:
-    """Return the cell that ``file`` describes, or if it is None, the cell that the options describe."""
+    """Return the cell that ``file`` describes, or the cell that the options describe if ``file`` is None."""
     from safety_harness.base.exceptions import InputError, SettingsError
     from safety_harness.extensions.field.monitoring.cell import cell_taken, read_cell
     from safety_harness.scenario.robots import Robot
@@ -195,9 +212,9 @@ def _cell(
 
 
 def lines_of(stream: IO[bytes], patience_s: float) -> Iterator[bytes | None]:
-    """Yield each line of ``stream`` when it comes, and None after every ``patience_s`` [s] without data.
+    """Yield each line of ``stream`` as it arrives, and None each time ``patience_s`` [s] pass without data.
 
-    If a line is longer than the largest usable length, cut it there, and drop the rest.
+    Truncate a line that is longer than the largest usable length, and discard its rest.
     """
     from safety_harness.extensions.field.monitoring.sample import MOST_CHARACTERS
 

@@ -1,4 +1,4 @@
-"""The commands ``scenario from`` and ``compare-worlds``, which simulate the cell of a log."""
+"""Define the commands ``scenario from`` and ``compare-worlds``, which simulate the cell of a log."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _NUMBER, _UNIT = re.compile(r"[+-]?[0-9.]+(e[+-]?[0-9]+)?"), re.compile(r"[a-z]{
 
 
 class _Quantities(TyperGroup):
-    """A group of commands that accepts ``--around 100 mm`` without quotes, as ``--around "100 mm"``."""
+    """A group of commands whose options accept a quantity without quotes, such as ``--around 100 mm``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Join an option's number and the unit after it into one argument, then parse all arguments."""
+        """Join an option's number with the unit that follows it, then parse all arguments."""
         joined: list[str] = []
         for arg in args:
             number = len(joined) > 1 and joined[-2].startswith("--") and _NUMBER.fullmatch(joined[-1])
@@ -33,7 +33,7 @@ class _Quantities(TyperGroup):
         return super().parse_args(ctx, joined)
 
 
-_HELP = "Make a scenario, and a space around it, of the log of a cell."
+_HELP = "Make a scenario, and a space around it, from the log of a cell."
 of_scenarios = Typer(name="scenario", cls=_Quantities, no_args_is_help=True, help=_HELP, short_help=_HELP)
 commands = Typer()
 Log = Annotated[Path, Argument(help="The description of a log.", metavar="LOG.yaml")]
@@ -41,20 +41,34 @@ OfCell = Annotated[
     str | None,
     Option(
         "--scenario",
-        help="A scenario of the cell, or shipped:NAME, with the values that logs lack: desired TCP, object, "
-        "camera, hand sensor, avoider. Its hands and its start have no effect.",
+        help="A scenario of the cell (a file or shipped:NAME) with the values that logs lack: desired "
+        "TCP, object, camera, hand sensor, avoider. Its hands and its start have no effect.",
         metavar="FILE",
     ),
 ]
 Begin = Annotated[
     str | None,
-    Option("--from", help="Begin of the used part, since the first sample: 1.5 s.", metavar="TIME"),
+    Option(
+        "--from",
+        help="Start of the part of the log to use, as time since the first sample, for example 1.5 s. "
+        "Default: as LOG.yaml states.",
+        metavar="TIME",
+    ),
 ]
-End = Annotated[str | None, Option("--to", help="End of the used part.", metavar="TIME")]
+End = Annotated[
+    str | None,
+    Option(
+        "--to",
+        help="End of the part of the log to use, as time since the first sample. Default: as LOG.yaml "
+        "states.",
+        metavar="TIME",
+    ),
+]
 ElbowTowards = Annotated[
     str | None,
     Option(
-        help="Point that an unmeasured forearm points to: '1.6 m, -1.2 m, 0.3 m'; default: --scenario's.",
+        help="The point towards which a forearm points if the log has no elbow, for example '1.6 m, "
+        "-1.2 m, 0.3 m'. Default: the point in --scenario.",
         metavar="POINT",
     ),
 ]
@@ -62,7 +76,7 @@ ElbowTowards = Annotated[
 
 @of_scenarios.callback()
 def _group() -> None:
-    """Make ``from`` a command of the group ``scenario``, although the group has no other command."""
+    """Keep ``from`` a subcommand of ``scenario``, although the group has no other command."""
 
 
 @command(of_scenarios, "from")
@@ -71,42 +85,56 @@ def scenario_from(
     scenario: OfCell = None,
     around: Annotated[
         str | None,
-        Option(help="Largest shift of hands in the space, along each axis: 100 mm.", metavar="LENGTH"),
+        Option(
+            help="Largest shift of the hands along each axis in the space, for example 100 mm.",
+            metavar="LENGTH",
+        ),
     ] = None,
     speed: Annotated[
         str | None,
-        Option(help="Factors of the hands' speed in the space: 0.8..1.25.", metavar="LOW..HIGH"),
+        Option(
+            help="Smallest and largest factor of the hands' speed in the space, for example 0.8..1.25.",
+            metavar="LOW..HIGH",
+        ),
     ] = None,
     start: Begin = None,
     to: End = None,
     desired_tcp: Annotated[
         str | None,
         Option(
-            help="End of the task without --scenario: '700 mm, 0 mm, 350 mm'; default: the log's end.",
+            help="The TCP position at the end of the task, only without --scenario, for example '700 mm, 0"
+            " mm, 350 mm'. Default: the position at the end of the log.",
             metavar="POINT",
         ),
     ] = None,
     elbow_towards: ElbowTowards = None,
     out: Annotated[
-        Path | None, Option(help="Folder for the files; without it from-NAME of the log.", metavar="FOLDER")
+        Path | None,
+        Option(
+            help="Folder for the files. Default: from-NAME, where NAME is the name of the log's file.",
+            metavar="FOLDER",
+        ),
     ] = None,
 ) -> int:
-    """Make a scenario of a log, and a space around it.
+    """Make a scenario from a log, and a space around it.
 
-    An incident becomes a regression test and a search. The command writes
-    NAME.yaml and the hands' recordings, and NAME-around.yaml with --around or
-    --speed; run, fuzz and pytest take them unchanged. Comments in the files
-    state the origin of each part. Without --scenario the avoider is the
-    opposite pose, and all other values that logs lack take their defaults. The
-    scenario expects every claim to hold: run ends with 1 as long as the
-    incident happens again.
+    With this command, a recorded incident becomes a regression test and the
+    start of a search. The command writes NAME.yaml and the recordings of the
+    hands. With --around or --speed, it also writes NAME-around.yaml. You can
+    pass these files to the commands run and fuzz, and to pytest. Comments in
+    the files state the origin of each part. Without --scenario, the avoider is
+    'opposite pose', and default values replace all other values that logs lack.
+    The scenario expects every claim to hold. Therefore the command run ends
+    with exit code 1 as long as the incident happens again.
 
-    Hands keep their samples. The command refuses a gap longer than LOG.yaml
-    allows; --from and --to choose another part. It executes no code and
+    The recorded samples of the hands stay unchanged. The command rejects a log
+    with a gap that is longer than LOG.yaml allows. In this case, choose another
+    part of the log with --from and --to. The command executes no program and
     overwrites no file.
 
-    Exit code 0: the files are written, and can run.
-    Exit code 2: the scenario cannot be made, or cannot run, with the reason.
+    Exit code 0: the files are written, and the scenario can run.
+    Exit code 2: the scenario cannot be made or cannot run; the reason is
+    printed.
     """
     from safety_harness.admission.admit import Checker
     from safety_harness.admission.avoiders import as_seen_from
@@ -229,15 +257,17 @@ def compare_worlds(
 ) -> int:
     """Compare simulated runs with a recorded cell.
 
-    It runs a controller in both worlds under the recorded hands, with the runs
-    of "scenario from LOG.yaml" and the same options. It compares joints, TCP
-    and hand distances with the log, with intervals. It estimates a delay and
-    offsets of the joints, and judges the claims on the log and on the runs.
-    certify PLAN --cell compare-worlds.json puts the result into a report. It
-    executes a program that the scenario names.
+    The command runs the controller in every world, with the recorded hands. It
+    makes the scenario of these runs in the same way and with the same options
+    as "scenario from LOG.yaml"; the option --scenario is required. It compares
+    the joints, the TCP and the hand distances with the log, and prints
+    intervals for the differences. It also estimates a delay and the offsets of
+    the joints. It judges the claims both on the log and on the runs. To include
+    the result in a report, use certify PLAN --cell compare-worlds.json. The
+    command executes any program to which the scenario refers.
 
-    Exit code 0: no verdict contradicts the log's.
-    Exit code 1: a verdict does.
+    Exit code 0: no verdict on a run contradicts the verdict on the log.
+    Exit code 1: a verdict on a run contradicts the verdict on the log.
     Exit code 2: bad input, or a world is not installed.
     Exit code 130: interrupted.
     """

@@ -1,1 +1,1 @@
-"""The monitor: it judges claims on a live cell from one sample after another."""
+"""Monitor a live cell: judge claims on it as its samples arrive."""

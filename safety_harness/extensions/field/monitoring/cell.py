@@ -1,4 +1,4 @@
-"""The watched cell: everything that a LOG.yaml states, except its streams, which a monitor does not open."""
+"""Describe a watched cell: all that a LOG.yaml states, except its streams, which a monitor does not open."""
 
 from __future__ import annotations
 
@@ -51,7 +51,11 @@ NO_HANDS = HandFacts(known_to_m=0.0, moves_at_most_mps=0.0, longest_gap_s=0.2)
 
 @dataclass(frozen=True)
 class WatchedHand:
-    """A hand's ``name``, whether the stream measures its ``elbow``, and whether it has a ``forearm``."""
+    """A hand in a stream.
+
+    ``elbow`` is True if the stream contains the position of the elbow. ``forearm`` is True if the hand has a
+    forearm.
+    """
 
     name: str
     elbow: bool
@@ -60,10 +64,10 @@ class WatchedHand:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class WatchedCell:
-    """A cell that a monitor watches, without its data.
+    """The description of a cell that a monitor watches, without the cell's measurements.
 
-    ``scenario`` has the arm, settings and claims, and ``said`` is the LOG.yaml. The other fields state the
-    hands and the accuracy of the data, as for a log.
+    ``scenario`` has the arm, the settings and the claims, and ``said`` is the tree of the LOG.yaml. The other
+    fields describe the hands and the accuracy of the data, as for a log.
     """
 
     said: Field
@@ -86,7 +90,7 @@ class WatchedCell:
         return self.period_ns / NS
 
     def log_text(self, joints: str, hands: Sequence[str], claims: Sequence[str]) -> str:
-        """Return the text of a LOG.yaml with ``claims`` for the sample tables ``joints`` and ``hands``."""
+        """Return a LOG.yaml with ``claims``, for a log with the sample tables ``joints`` and ``hands``."""
         tree = _tree_of(self.said.node)
         assert isinstance(tree, dict)
         file = log_file(self.said)
@@ -125,7 +129,7 @@ def read_cell(path: Path, claims: Sequence[str] = ()) -> WatchedCell:
 
 
 def cell_taken(robot: str, hands: Sequence[str], period: str, claims: Sequence[str]) -> WatchedCell:
-    """Return a cell without a LOG.yaml, with the uncertainties that ``assumptions_of`` states."""
+    """Return a cell for which there is no LOG.yaml; its uncertainties are those in ``assumptions_of``."""
     streams = ", ".join(f"{scalar_text(name)}: none" for name in hands)
     streams = f"hands: {{{streams}}}, " if hands else ""
     text = f"log: {{joints: none, {streams}period: {scalar_text(period)}}}\n"
@@ -209,7 +213,10 @@ def _scenario(given: Fields, period_s: float, document: Field) -> Scenario:
 
 
 def _seen_from_anywhere(robot: Tree, folder: Path) -> Tree:
-    """Return the key ``robot`` with paths that include ``folder``, for a LOG.yaml in another folder."""
+    """Return the value of the key ``robot`` for use in a LOG.yaml in another folder.
+
+    ``folder`` is added before the relative paths in the value.
+    """
     if isinstance(robot, str):
         text = plain_text(robot)
         return (

@@ -1,9 +1,9 @@
-"""The monitor's own log: folders of bounded size, each with tables of the used samples and a LOG.yaml.
+"""The monitor's own log: folders of limited size, each with tables of the used samples and a LOG.yaml.
 
     OUT/0001/{LOG.yaml, joints.csv, hand-1.csv}, OUT/0002/...
 
-The journal writes each row whole, as soon as it comes, so ``judge`` can read the log of a killed process.  A
-new folder begins with the last sample of each table, so that no motion between two samples is missing.
+The journal writes each row completely and at once, so ``judge`` can read the log even after the process was
+killed. A new folder begins with the last sample of each table, so that no motion between two samples is lost.
 """
 
 from __future__ import annotations
@@ -48,12 +48,15 @@ class Journal:
     def joints(
         self, time_ns: int, position_rad: Sequence[float], rates_radps: Sequence[float] | None
     ) -> None:
-        """Write one sample of the joints, with their speeds if the cell states the accuracy of speeds."""
+        """Write one sample of the joints.
+
+        The sample includes speeds only if the description of the cell states their uncertainty.
+        """
         known = self.cell.joint_facts.speeds_known_to_radps is not None
         self._write(JOINTS, time_ns, (*position_rad, *((rates_radps or ()) if known else ())))
 
     def hand(self, name: str, time_ns: int, hand_m: Place, elbow_m: Place) -> None:
-        """Write one sample of the hand ``name``, with empty cells for a place that was not measured."""
+        """Write one sample of the hand ``name``, with empty cells for a position that was not measured."""
         nothing = (None,) * 3
         elbow = (elbow_m or nothing) if self._elbows[name] else ()
         self._write(self._names[name], time_ns, (*(hand_m or nothing), *elbow))
@@ -116,6 +119,7 @@ class Journal:
         except OSError as error:
             raise OutputError.of_file(folder, "a folder that can be written", str(error)) from error
         self._room = self.most_bytes
+        # The last row of each stream begins the next part, so that every part is a log by itself.
         for name, header in headers.items():
             self._put(name, header.encode() + b"\n" + self._last.get(name, b""))
 

@@ -1,8 +1,9 @@
-"""The monitor of one stream, which makes ticks from the samples and judges the claims at every tick.
+"""Monitor one stream: make ticks from its samples, and judge the claims at every tick.
 
-The monitor judges a tick as soon as joints of its time or later have come.  Until the next sample of a hand,
-the hand may be anywhere that its latest sample allows. The next sample lets the monitor judge the ticks since
-the latest sample again. Their verdicts then equal those on a log with both samples.
+The monitor judges a tick as soon as joints arrive whose time is at or after this tick. Until the next sample
+of a hand, the hand may be anywhere that its latest sample allows. When the next sample arrives, the monitor
+judges the ticks since the previous sample again. The verdicts then equal the verdicts on a log with both
+samples.
 """
 
 from __future__ import annotations
@@ -54,7 +55,10 @@ class StreamCounts:
 
 @dataclass(frozen=True, kw_only=True)
 class VerdictLine:
-    """One line of output: a claim's ``verdict`` on the run so far, and its ``latest`` at the latest tick."""
+    """One line of output with two verdicts on a claim.
+
+    ``verdict`` is for the run so far, and ``latest`` is for the latest tick.
+    """
 
     time_s: float
     claim: str
@@ -74,11 +78,12 @@ class VerdictLine:
 
 @dataclass(kw_only=True)
 class Monitor:
-    """The watch over the claims of ``cell`` on one stream.
+    """A monitor of the claims of ``cell`` on one stream.
 
-    Each line waits ``wait_s``, by the times in the stream, so that lines with earlier times can overtake it.
-    The monitor writes the samples that it uses to ``journal``.  It raises FormulaError if it cannot watch a
-    claim.  With ``some`` it adds such a claim to ``unwatched`` instead, as long as another claim remains.
+    Each line waits until the times in the stream have advanced by ``wait_s``. A later line with an earlier
+    time can therefore still be used in the right order. The monitor writes the samples that it uses to
+    ``journal``. It raises FormulaError if it cannot watch a claim. If ``some`` is True, it adds such claims
+    to ``unwatched`` instead, and raises the error only if it can watch no claim.
     """
 
     cell: WatchedCell
@@ -135,7 +140,7 @@ class Monitor:
             raise FormulaError(place=error.place, expected=error.expected, got=got, hint=hint) from None
 
     def take(self, line: bytes) -> Iterator[VerdictLine]:
-        """Use the next line, and yield the verdicts that change.
+        """Process the next line, and yield the verdicts that change.
 
         If the line or a part of it cannot be used, count it as refused and raise StreamError.
         """
@@ -160,13 +165,15 @@ class Monitor:
             self._latest_of[kind] = max(sample.time_s, self._latest_of.get(kind, -inf))
         self._newest_s = max(self._newest_s, time_s)
         heapq.heappush(self._waiting, (time_s, number, sample))
+        # No line with an earlier time can still come within ``wait_s``, so these lines are used in order of
+        # time.
         while self._waiting and self._waiting[0][0] <= self._newest_s - self.wait_s:
             yield from self._use(*heapq.heappop(self._waiting)[1:])
 
     def _ahead_s(self, sample: Sample) -> float:
-        """Return the time [s] by which the clock of ``sample`` is ahead of the joints' clock.
+        """Return by how much [s] the clock of ``sample`` is ahead of the joints' clock.
 
-        Only a line without joints has the time of the hands' clock.
+        If a line has joints, its time is on the joints' clock; otherwise it is on the hands' clock.
         """
         return self.cell.hands_ahead_ns / NS if sample.joint_position_rad is None else 0.0
 
@@ -179,7 +186,8 @@ class Monitor:
     def end(self) -> Iterator[VerdictLine]:
         """Use the waiting lines, and yield the last verdicts that change.
 
-        The end of the stream is unknown if it has no joints for more than their longest gap.
+        If the last part of the stream has no joints for longer than the longest gap, the state at the end is
+        unknown.
         """
         while self._waiting:
             yield from self._use(*heapq.heappop(self._waiting)[1:])
@@ -192,7 +200,7 @@ class Monitor:
 
     @property
     def _silence(self) -> str:
-        """Return the reason why the present is unknown, or an empty text."""
+        """Return the reason why the present state is unknown, or an empty text if it is known."""
         gap_s = self.cell.joint_facts.longest_gap_s
         return f"no joints that can be used came for {gap_s * 1e3:g} ms" if self._silent else ""
 
@@ -201,7 +209,7 @@ class Monitor:
         return [self._change(claim, self._silence) for claim in self.claims]
 
     def _use(self, number: int, sample: Sample) -> Iterator[VerdictLine]:
-        """Use every usable part of ``sample``, then raise StreamError if another part cannot be used."""
+        """Use all valid parts of ``sample``; then raise StreamError if some part was not usable."""
         time_ns, problems = round(sample.time_s * NS), []
         if sample.joint_position_rad is not None and self._origin_ns is None:
             self._origin_ns = time_ns
@@ -259,6 +267,7 @@ class Monitor:
                     problems.append((f"hands.{name}.{body}_position_in_base_m", str(error)))
                     track.lost = True
                     continue
+                # The new sample changes the line from the last sample on, so all ticks since then are stale.
                 since_ns = track.samples[-1][0] if track.samples else at_ns - track.reaches_ns
                 if (frozen_ns := track.add(at_ns, position_m)) is not None:
                     problems.append((f"hands.{name}.{body}_position_in_base_m", self._frozen(frozen_ns)))
@@ -293,6 +302,8 @@ class Monitor:
         period_ns = self.cell.period_ns
         since_ns = before_ns if frozen_ns is None else frozen_ns
         self._stale = max(min(self._stale, since_ns // period_ns), 0)
+        # A tick at a sample's time has the speed of the span that begins there, and this span is known only
+        # now.
         if self._moments and before_ns % period_ns == 0 and self._moments[-1].tick == before_ns // period_ns:
             self._moments[-1].rates_radps = track.at(before_ns)[1]
         self.counts.missing += max((time_ns - before_ns) // period_ns - 1, 0)
@@ -300,7 +311,10 @@ class Monitor:
             raise Jump(self._frozen(frozen_ns))
 
     def _frozen(self, since_ns: int) -> str:
-        """Return the message that a stream repeats its numbers since ``since_ns`` on the joints' clock."""
+        """Return a message about a stream that has repeated its numbers since a certain time.
+
+        This time is ``since_ns`` on the joints' clock.
+        """
         assert self._origin_ns is not None
         since_s = (self._origin_ns + since_ns) / NS
         return (
@@ -320,7 +334,10 @@ class Monitor:
             self.counts.lost += self._moments[-1].lost
 
     def _judge_again(self, *, grown: bool = False) -> Iterator[VerdictLine]:
-        """Judge the ticks about which new samples tell more; ``grown`` states that the last tick is new."""
+        """Repeat the judgement of the ticks about which new samples give more information.
+
+        ``grown`` is True if the last tick is new.
+        """
         moments = [moment for moment in self._moments if moment.tick >= self._stale]
         if not moments:
             return
@@ -328,6 +345,7 @@ class Monitor:
         self.time_s = (self._origin_ns + moments[-1].tick * self.cell.period_ns) / NS
         errors = [self._joints.errors_at(moment.tick) for moment in moments]
         first = len(self._moments) - len(moments)
+        # The bounds of a tick extend to the next tick, so the tick before the first stale tick changes too.
         if first > 0:
             moments.insert(0, self._moments[first - 1])
         seen = self._sensing.see(moments, len(moments) - len(errors), errors)
@@ -346,9 +364,11 @@ class Monitor:
                     track.forget(first_kept)
 
     def _changes(self, silence: str = "") -> Iterator[VerdictLine]:
-        """Yield changed verdicts: a worse verdict at once, a better verdict after the hands' longest gap.
+        """Yield the verdicts that have changed.
 
-        Without this delay, a claim near its limit could change its verdict with every sample of a hand.
+        A worse verdict is reported immediately. A better verdict is reported after a delay, which is the
+        hands' longest gap. Without this delay, a claim near its limit could change its verdict with every
+        sample of a hand.
         """
         for number, claim in enumerate(self.claims):
             now, reported = _verdicts_of(claim, silence), self._told[number]
@@ -362,7 +382,10 @@ class Monitor:
                 yield self._change(claim, silence)
 
     def _change(self, claim: WatchedClaim, silence: str = "") -> VerdictLine:
-        """Return the line of ``claim`` at the latest tick; ``silence`` is a reason for unknown verdicts."""
+        """Return the output line of ``claim`` at the latest tick.
+
+        ``silence`` is the reason why the present state is unknown, or empty if the state is known.
+        """
         part = claim.deciding
         verdict, latest = _verdicts_of(claim, silence)
         signals = self._moments[-1].signals if self._moments else None
@@ -384,7 +407,8 @@ def _worse(now: Verdict, reported: Verdict) -> bool:
 def _verdicts_of(claim: WatchedClaim, silence: str) -> tuple[Verdict, Verdict]:
     """Return the verdicts of ``claim`` on the run and at the latest tick.
 
-    During a ``silence`` both are inconclusive, but a violation on the run stays.
+    During a ``silence``, both verdicts are inconclusive. However, if the run has already violated the claim,
+    the verdict on the run remains a violation.
     """
     verdict = claim.verdict
     if silence:

@@ -1,19 +1,19 @@
-"""The margin of a formula at the first tick of a run that still grows, in bounded memory.
+"""Compute the margin of a formula at the first tick of a run that still continues.
 
-``semantics`` computes the margins of a complete run.  Here the run grows by one tick at a time, and the code
-computes the margin again as if the run ended there.  If every operator has a window, the margin at tick k
-depends only on the ticks that the windows reach.  ``semantics`` evaluates these ticks; older ticks are final.
-The margin v of an operator without a window follows from the margins a and b of its parts, tick by tick from
-the end of the run:
+The computation needs only bounded memory. ``semantics`` computes the margins of a complete run. Here the run
+grows tick by tick, and after each tick the margin is computed as if the run ended at this tick. If every
+operator has a window, the margin at tick k depends only on the ticks that the windows reach. ``semantics``
+evaluates these ticks; older ticks are final. Let a and b be the margins of the parts of an operator without a
+window. The margin v of the operator follows from them recursively, from the end of the run backwards:
 
     v[k] = max(b[k], min(a[k], v[k + 1]))        always: min(a[k], v[k + 1]), eventually: max(b[k], v[k + 1])
 
-The margin at the first tick follows from the margin v[k] at the oldest tick k in memory, and two numbers:
+Let k be the oldest tick in memory. The margin at the first tick follows from v[k] and two numbers:
 
     v[0] = max(best, min(lasting, v[k]))         best = max over j < k of min(b[j], a[0], ..., a[j - 1])
 
-where ``lasting`` is the least of a[0] to a[k - 1].  The result is exact, since it has the minima and maxima
-of the same numbers as in ``semantics``.
+Here, ``lasting`` is the minimum of a[0] to a[k - 1]. The result is exact, because it consists of minima and
+maxima of the same numbers as in ``semantics``.
 """
 
 from __future__ import annotations
@@ -49,13 +49,16 @@ NEVER: Ends = (-np.inf, -np.inf)
 
 
 def is_endless(formula: Formula) -> bool:
-    """Return whether ``formula`` is an operator without a window, so that the end of the run decides it."""
+    """Return True if ``formula`` is an operator without a window.
+
+    The value of such a formula may remain open until the end of the run.
+    """
     own = isinstance(formula, Always | Eventually | Until) and formula.span is None
     return own or isinstance(formula, Globally)
 
 
 def refuse_endless(formula: Formula, period_s: float) -> None:
-    """Raise FormulaError if ``formula`` needs unbounded memory, or has a window without a tick."""
+    """Raise FormulaError if ``formula`` needs too much memory, or has a window that contains no tick."""
     for node in formula.nodes():
         span = getattr(node, "span", None)
         if span is not None and span.ticks(period_s)[0] > span.ticks(period_s)[1]:
@@ -78,11 +81,12 @@ def refuse_endless(formula: Formula, period_s: float) -> None:
 
 
 class Prefix:
-    """The ``least`` and largest (``most``) possible margin of ``formula`` at the run's first tick.
+    """The range of possible margins of ``formula`` at the first tick of a run: ``least`` to ``most``.
 
-    Later samples may narrow the bounds of signals at the latest tick and at ``revisable`` ticks before it.
-    If the outermost operator is "always" or "whenever", ``latest`` has the margins of its demand. They are
-    the margins at the latest tick whose windows have passed.
+    The bounds of signals are not final at the latest tick and at the ``revisable`` ticks before it, because
+    later samples may narrow them. If the outermost operator is "always" or "whenever", ``latest`` contains
+    the margins of the demand of this operator. They are for the latest tick whose windows are already
+    complete.
 
     Args:
         formula: The part of a claim.  ``refuse_endless`` raises FormulaError for some formulas.
@@ -105,14 +109,15 @@ class Prefix:
         self._whole = _Node(self.formula, period_s, columns, code, reading)
         self._code, self._limits = np.array(code, np.int64), np.array(reading)[:, 5:].copy()
         self._reading = np.array(reading)[:, :5].astype(np.int64)
+        # Twice the ticks in memory, so that ``see`` moves the margins only when the buffer is full.
         self._values = np.empty((len(code), 2, 2 * self._kept_ticks + 4))
         self._begin = self._end = 0
         self._asks = is_endless(self.formula) and isinstance(self.formula, Always | Globally)
 
     def see(self, seen: NDArray[np.float64], *, grown: bool) -> None:
-        """Update the margins by the present bounds ``seen`` (m, signals, c) of signals at the latest m ticks.
+        """Update the margins with the bounds ``seen`` (m, signals, c) of signals at the latest m ticks.
 
-        ``grown`` states that the last of these ticks is new.
+        ``grown`` is True if the last of these ticks is new.
         """
         if grown and self._end == self._kept_ticks * 2 + 4:
             kept = self._end - self._begin
@@ -124,28 +129,32 @@ class Prefix:
         self.least, self.most = self._whole.now(self._values[:, :, begin])
         if self._asks and begin + self._reach < end:
             self.latest, _ = self._whole.step(self._values[:, :, end - 1 - self._reach])
+        # Later samples cannot change this tick any more.
         if grown and end - begin - 1 > self._kept_ticks:
             self._whole.forget(self._values[:, :, begin])
             self._begin += 1
 
     @property
     def triggered(self) -> bool:
-        """Return whether the trigger of a "whenever" certainly held at a tick in memory."""
+        """Return True if the trigger of a "whenever" was certainly true at one of the ticks in memory."""
         trigger = self._whole.parts[0].row
         return bool((self._values[trigger, 0, self._begin : self._end] >= 0.0).any())
 
 
 class _Node:
-    """A node of a formula, with its row in the program of ``_evaluate`` and its margins at the first tick.
+    """A node of a formula.
 
+    The node has a row in the program that ``_evaluate`` runs, and it stores its margins at the first tick.
     Only "not", "and" and "or" may contain an operator without a window.
 
     Args:
         formula: The formula of the node; its parts become nodes first.
         period_s: The control period.
         columns: As for ``Prefix``.
-        code: Rows (operator, first part, second part, window), to which the node appends its own.
-        reading: Rows (row in ``code``, numbers to read, limit) of atoms, to which an atom appends its own.
+        code: The rows (operator, first part, second part, window) of the program; the node appends its own
+            row.
+        reading: The rows for atoms. A row contains the row in ``code``, the numbers to read, and the limit.
+            An atom appends its own row.
 
     """
 
@@ -173,7 +182,10 @@ class _Node:
         self.row: int = len(code) - 1
 
     def now(self, oldest: NDArray[np.float64]) -> Ends:
-        """Return both margins at the first tick, from every node's margins ``oldest`` at the oldest tick."""
+        """Return both margins at the first tick.
+
+        ``oldest`` has the margins of all nodes at the oldest tick in memory.
+        """
         if not self._over:
             return self._at_first_tick(self._ends(oldest))
         lows, highs = zip(*(part.now(oldest) for part in self.parts), strict=True)
@@ -183,7 +195,10 @@ class _Node:
         return worst(lows), worst(highs)
 
     def forget(self, oldest: NDArray[np.float64]) -> None:
-        """Keep the effect of the oldest tick, with margins ``oldest`` (nodes, 2), and forget this tick."""
+        """Forget the oldest tick, whose margins are ``oldest`` (nodes, 2).
+
+        Their effect on later results is retained.
+        """
         for part in self.parts if self._over else ():
             part.forget(oldest)
         lasts, ends = self.step(oldest)
@@ -191,14 +206,15 @@ class _Node:
         self._lasting = min(self._lasting[0], lasts[0]), min(self._lasting[1], lasts[1])
 
     def _at_first_tick(self, later: Ends) -> Ends:
-        """Return the margins at the first tick, if the margins at the oldest tick are ``later``."""
+        """Return the margins at the first tick; ``later`` has the margins at the oldest tick."""
         (low, high), (least, most), (best, best_high) = later, self._lasting, self._best
         return max(best, min(least, low)), max(best_high, min(most, high))
 
     def step(self, values: NDArray[np.float64]) -> tuple[Ends, Ends]:
-        """Return a and b of the recursion at a tick, where the nodes have the margins ``values`` (nodes, 2).
+        """Return a and b of the recursion at a tick.
 
-        For a formula whose operators all have windows, b is its margin, which is final.
+        The margins of the nodes at this tick are ``values`` (nodes, 2). If all operators of the formula have
+        windows, there is no recursion, and b is the final margin of the formula.
         """
         if not self._endless:
             return NEVER, self._ends(values)
@@ -218,7 +234,10 @@ class _Node:
 
 
 def _reading(atom: Comparison | Truth, columns: Columns) -> tuple[float, ...]:
-    """Return what ``_evaluate`` reads: signal, relation, low, high, limit, and the margin at the limit."""
+    """Return a row of the program that ``_evaluate`` runs.
+
+    Its entries are the signal, the relation, low, high, the limit, and the margin at the limit.
+    """
     signal, low, high = columns(atom)
     if isinstance(atom, Truth):
         return signal, 1, low, high, 0.5, np.inf
@@ -237,9 +256,9 @@ def _evaluate(
     first: int,
     stop: int,
 ) -> None:
-    """Write every node's margins at the ticks ``first`` to ``stop`` - 1, as ``semantics.margins`` does.
+    """Write the margins of all nodes at the ticks ``first`` to ``stop`` - 1, as ``semantics.margins`` does.
 
-    A truth has the limit 0.5, and its margins are infinite.
+    For a boolean signal, the limit is 0.5, and the margins are infinite.
     """
     count = seen.shape[0]
     for a in range(reading.shape[0]):
@@ -248,8 +267,10 @@ def _evaluate(
             least, most = seen[k, signal, low] - limits[a, 0], seen[k, signal, high] - limits[a, 0]
             if not above:
                 least, most = limits[a, 0] - seen[k, signal, high], limits[a, 0] - seen[k, signal, low]
+            # True and false have no distance from the limit, so their margins are infinite.
             if limits[a, 1] == np.inf:
                 least, most = np.copysign(np.inf, least), np.copysign(np.inf, most)
+            # At the limit itself, the relation decides: < and > are violated there, <= and >= are not.
             values[node, 0, stop - count + k] = least if least != 0.0 else limits[a, 1]
             values[node, 1, stop - count + k] = most if most != 0.0 else limits[a, 1]
     for i in range(code.shape[0]):

@@ -5,7 +5,7 @@
                          "elbow_position_in_base_m": [1.0, -0.6, 0.25]},
                "left": null}}
 
-Every part except ``time_s`` may be missing if it was not measured.  The value null stands for a lost hand.
+Every part except ``time_s`` may be omitted if it was not measured. The value null stands for a lost hand.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from safety_harness.extensions.field.logs.checked import FARTHEST_M, FARTHEST_RA
 from safety_harness.extensions.field.logs.streams import LATEST_S
 
 FASTEST_RADPS = 100.0  # a joint with a larger speed has a mistake in its unit
-MOST_CHARACTERS = 65_536
+MOST_CHARACTERS = 65_536  # a choice
 Triple = tuple[float, float, float]
 
 
 class HandSample(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """The positions of a hand's centre and of its elbow [m] in the base frame."""
+    """The positions [m] of a hand's centre and of its elbow in the base frame."""
 
     hand_position_in_base_m: Triple
     elbow_position_in_base_m: Triple | None = None
 
 
 class Sample(msgspec.Struct, forbid_unknown_fields=True, frozen=True, omit_defaults=True):
-    """The measurements of a cell at ``time_s``; None for joints that were not measured."""
+    """The measurements of a cell at ``time_s``. The joints are None if they were not measured."""
 
     time_s: float
     joint_position_rad: tuple[float, ...] | None = None
@@ -50,14 +50,15 @@ def read_sample(line: bytes, number: int, *, joints: int, hands: Collection[str]
         line: A line of the stream.
         number: The number of the line, for the error message.
         joints: The number of the arm's joints.
-        hands: The names of the cell's hands. If there are none, hands in the line are ignored.
-        speeds: Whether joint positions must have joint speeds beside them.
+        hands: The names of the cell's hands. If the cell has no hands, hands in the line are ignored.
+        speeds: True if a line with joint positions must also have joint speeds.
 
     """
     if len(line) > MOST_CHARACTERS:
         raise line_error(number, "line", f"at most {MOST_CHARACTERS:,} characters", f"{len(line):,} or more")
     try:
         sample = _DECODER.decode(line)
+        # msgspec accepts a repeated name and keeps its last value, so a second parser looks for repetitions.
         json.loads(line, object_pairs_hook=lambda pairs: _refuse_twice(number, [name for name, _ in pairs]))
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         got = line[:60].decode(errors="replace").strip()

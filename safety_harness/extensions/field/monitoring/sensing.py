@@ -1,7 +1,9 @@
-"""The signals of the latest ticks, from joints and hands, with the same bounds as for a log.
+"""Compute the signals at the latest ticks from joints and hands.
 
-The functions of ``claims.signals.bounds`` run here in compiled code, since a live cell has a tick every 8 ms.
-They use the uncertainty of each tick and hand. For some signals of a log, they use its maximum over the run.
+The bounds of the signals are computed as for a log, with one difference. This module calls the functions of
+``claims.signals.bounds`` in compiled code, since a live cell has a tick every 8 ms. It uses the separate
+uncertainty of each tick and of each hand. For some signals of a log, the largest uncertainty in the run is
+used instead.
 """
 
 from __future__ import annotations
@@ -55,12 +57,12 @@ Values = NDArray[np.float64]
 
 @dataclass(eq=False)
 class TickSeen:
-    """A tick with its measurements and their errors, as far as they are known now.
+    """The measurements at a tick and their errors, as known at present.
 
-    ``joints_rad`` and ``rates_radps`` are of shape (n,). ``joint_errors`` has one error for all joints, and
-    one for all speeds. ``bodies_m`` (h, 2, 3) are hands and elbows [m] in base, with the errors
-    ``body_errors_m`` (h, 2). NaN stands for unknown. A hand without a forearm has its elbow at the hand.
-    ``Sensing.see`` sets ``signals`` (signals, 6).
+    ``joints_rad`` and ``rates_radps`` are of shape (n,). ``joint_errors`` contains one error for all joint
+    positions, and one for all joint speeds. ``bodies_m`` (h, 2, 3) are the positions of hands and elbows [m]
+    in base, with the errors ``body_errors_m`` (h, 2). An unknown number is NaN. If a hand has no forearm, its
+    elbow has the same position as the hand. ``Sensing.see`` sets ``signals`` (signals, 6).
     """
 
     tick: int
@@ -82,7 +84,8 @@ class TickSeen:
 class HandTracks(NamedTuple):
     """The tracks of a hand and of its elbow.
 
-    ``elbow`` is None if no elbow is measured. For a hand without a forearm, ``elbow`` is the hand's track.
+    ``elbow`` is None if the elbow is not measured. If the hand has no forearm, ``elbow`` is the hand's own
+    track.
     """
 
     hand: BodyTrack
@@ -90,7 +93,7 @@ class HandTracks(NamedTuple):
 
 
 class _Cell(NamedTuple):
-    """The values of a cell that the compiled code reads."""
+    """The values of a cell that the compiled code needs."""
 
     arm: Arm
     tcp: Arm
@@ -101,7 +104,7 @@ class _Cell(NamedTuple):
 
 
 class _Seen(NamedTuple):
-    """The measurements of m consecutive ticks: n joints, h hands, and c samples of hands between ticks."""
+    """The measurements of n joints and h hands at m ticks, and c samples of hands between ticks."""
 
     elapsed_s: Values  # (m,)
     joints_rad: Values  # (m, n)
@@ -133,8 +136,9 @@ class Sensing:
 
         Args:
             moments: The ticks. The method sets their ``signals``.
-            fresh: The index of the first tick about which new samples tell more.
-            errors: The errors of joints and of their speeds from ``fresh`` on; None where the arm is lost.
+            fresh: The index of the first tick on which new samples give more information.
+            errors: The errors of joint positions and of joint speeds from ``fresh`` on; None where the arm is
+                lost.
 
         """
         for moment, own in zip(moments[fresh:], errors, strict=True):
@@ -161,8 +165,8 @@ class Sensing:
     def _corners(self, first: int, last: int) -> tuple[NDArray[np.int64], Values, Values]:
         """Return the samples of hands between the ticks ``first`` and ``last``.
 
-        The arrays are the hands (c,), the times (c,) in ticks after ``first``, and the places (c, 2, 3) of
-        hand and elbow.
+        The three arrays are the index of the hand (c,), the time (c,) in ticks after ``first``, and the
+        places (c, 2, 3) of hand and elbow.
         """
         corners = []
         for k, (hand, elbow) in enumerate(self._hands):
@@ -182,13 +186,14 @@ class Sensing:
 
 @compiled
 def _sense(cell: _Cell, seen: _Seen, out: Values) -> None:
-    """Write the signals at each tick, and their bounds from there to the next, to ``out`` (m, signals, 6).
+    """Write to ``out`` (m, signals, 6) the signals at each tick, and their bounds until the next tick.
 
-    The last tick counts as the end of the run.
+    The last tick is treated as the end of the run.
     """
     arm, tcp, period_s, joints_rad = cell.arm, cell.tcp, cell.period_s, seen.joints_rad
     count, hands, n = seen.bodies_m.shape[0], seen.bodies_m.shape[1], joints_rad.shape[1]
     turned_rad, faster_radps, reach_m = seen.joint_errors[:, 0], seen.joint_errors[:, 1], arm.reach_m.sum()
+    # Each joint may err by ``turned_rad``, which moves a point by at most this joint's part of the reach.
     off_m = turned_rad * reach_m
     off_mps = velocity_off(arm.reach_m, turned_rad, faster_radps, seen.rates_radps)
     transforms, ends_m = np.empty((n + 2, 4, 4)), np.empty((arm.capsules.shape[0], 2, 3))
@@ -206,6 +211,7 @@ def _sense(cell: _Cell, seen: _Seen, out: Values) -> None:
             hand, elbow = seen.bodies_m[k, h]
             to_tcp_m[h, k] = distance_m(hand, tcp_m[k])
             apart_m[h, k], _ = distance_between(arm.capsules, ends_m, hand, elbow, *cell.radii_m)
+    # Begin with unknown values.  ``_put`` takes minima, so that the nearest hand determines the bounds.
     out[:], out[:, :, LOW], out[:, :, CELL_LOW], out[:, :, EXERCISED] = (np.nan, np.inf, np.inf, 0.0)
     exact, later_s = np.zeros(count), np.append(seen.elapsed_s[1:], seen.elapsed_s[-1:])
     _put(out[:, ELAPSED], seen.elapsed_s, exact, seen.elapsed_s, later_s, exact, exact)
@@ -215,11 +221,14 @@ def _sense(cell: _Cell, seen: _Seen, out: Values) -> None:
     _put_speed(out[:, TCP_SPEED], speed_mps, step_m.reshape(-1, 1) / period_s, off_mps, off_m, period_s)
     rates_radps = np.abs(seen.rates_radps)
     _put_speed(out[:, JOINT_SPEED], rates_radps, step_rad / period_s, faster_radps, turned_rad, period_s)
+    # Between two ticks, the TCP moves at most as far as the faster of their speeds allows.
     way_m = np.maximum(np.maximum(speed_mps[:-1, 0], speed_mps[1:, 0]) * period_s, step_m)
     between_m = place_between(or_next(off_m), or_next(off_mps), period_s)
     low_m, high_m = cells(tcp_m[:, 2], way_m, exact[1:])
     _put(out[:, HEIGHT], tcp_m[:, 2], off_m, low_m, high_m, between_m, between_m)
     out[:, HEIGHT, EXERCISED] = ~np.isnan(off_m)
+    # A change of speed moves a joint off the straight line by at most a quarter of the period times the
+    # change.
     bend_rad = np.abs(seen.rates_radps[1:] - seen.rates_radps[:-1]) * period_s / 4.0
     bend_m, tcp_bend_m = (bend_rad * arm.reach_m).sum(axis=1), (bend_rad * tcp.reach_m).sum(axis=1)
     turned_m = (step_rad * arm.reach_m).sum(axis=1)
@@ -227,6 +236,7 @@ def _sense(cell: _Cell, seen: _Seen, out: Values) -> None:
     for h in range(hands):
         own, bodies_m = seen.corner_hand == h, seen.bodies_m[:, h].copy()
         corner_at, corners_m = seen.corner_at[own], seen.corners_m[own]
+        # For the distance from the TCP, the forearm has no length: only the hand's centre counts.
         hands_m, turns_m = bodies_m.copy(), corners_m.copy()
         hands_m[:, 1], turns_m[:, 1] = bodies_m[:, 0], corners_m[:, 0]
         hand_m, elbow_m = seen.body_errors_m[:, h, 0], seen.body_errors_m[:, h, 1]
@@ -253,8 +263,10 @@ def _sense(cell: _Cell, seen: _Seen, out: Values) -> None:
 
 @compiled
 def _open_unknown(known: Values) -> None:
-    """Write infinite bounds to ``known`` (m, signals, 6) where a bound is unknown."""
+    """Replace the unknown bounds in ``known`` (m, signals, 6) by infinite bounds."""
+    # A loop, because expressions of whole arrays take longer to compile.
     for k in range(known.shape[0]):
+        # NaN fails the first comparison, and infinity is the initial value of a lower bound.
         for signal in range(known.shape[1]):
             for side in (LOW, CELL_LOW):
                 if not known[k, signal, side] < np.inf:
@@ -268,10 +280,10 @@ def _open_unknown(known: Values) -> None:
 def _put_speed(
     known: Values, at_ticks: Values, mean: Values, speed_error: Values, place: Values, period_s: float
 ) -> None:
-    """Write the bounds of the largest speed of several joints, or of the TCP's speed, to ``known`` (m, 6).
+    """Write bounds of the TCP's speed or of the fastest joint's speed to ``known`` (m, 6).
 
-    The speeds are ``at_ticks`` (m, joints) at the ticks, and on average ``mean`` (m - 1, joints) in between.
-    ``speed_error`` (m,) is the error of a speed, and ``place`` (m,) that of a position.
+    The speeds at the ticks are ``at_ticks`` (m, joints), and the mean speeds between ticks are ``mean``
+    (m - 1, joints). A speed has the error ``speed_error`` (m,), and a position has the error ``place`` (m,).
     """
     count = at_ticks.shape[0]
     value, low, high, mean_error = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
@@ -299,12 +311,14 @@ def _put_speed(
 def _put(
     known: Values, value: Values, at: Values, low: Values, high: Values, below: Values, above: Values
 ) -> None:
-    """Write the bounds of a signal to ``known`` (m, 6), or merge the distance of one more hand into it.
+    """Write the bounds of a signal to ``known`` (m, 6).
 
-    ``value`` (m,) has the error ``at`` (m,) at the ticks.  Until the next tick the signal is at least ``low -
-    below``, and at most ``high + above``, where ``low``, ``high``, ``below`` and ``above`` are of shape (m,).
-    NaN stands for unknown.  If the distance of one hand is unknown, the lower bound for the nearest hand is
-    unknown too.  Its upper bound still follows from the known hands.
+    If ``known`` already has the distance bounds of other hands, the function combines them with the bounds of
+    this hand. At a tick, the signal is ``value`` (m,) with an error of at most ``at`` (m,). Until the next
+    tick, its lower limit is ``low`` (m,) minus ``below`` (m,), and its upper limit is ``high`` (m,) plus
+    ``above`` (m,). NaN stands for unknown. If the distance of one hand is unknown, the lower bound for the
+    nearest hand is unknown too. The upper bound is still known, because it follows from the hands whose
+    distance is known.
     """
     for k in range(known.shape[0]):  # expressions of whole arrays take fifteen times as long to compile
         tick, now = known[k], np.nan if np.isnan(at[k]) else value[k]

@@ -1,8 +1,9 @@
-"""Tracks of bodies and joints: their samples so far, the lines between samples, and the errors of the lines.
+"""Track bodies and joints with straight lines between samples, and bound the errors of these lines.
 
-Each sample updates the bounds. They equal the bounds from ``extensions.field.logs.certain`` for a log that
-ends now. ``extensions.field.logs.reach`` computes the bounds between two samples. After the last sample they
-use the greatest speed, up to half of the longest gap. Times are in nanoseconds since the first joints.
+Each sample updates the bounds. The bounds are the same as the bounds that ``extensions.field.logs.certain``
+computes for a log that ends at this sample. ``extensions.field.logs.reach`` computes the bounds between two
+samples. After the last sample, the bounds follow from the greatest speed. They are valid for at most half of
+the longest gap. Times are in nanoseconds since the first sample of the joints.
 """
 
 from __future__ import annotations
@@ -31,11 +32,14 @@ Values = NDArray[np.float64]
 
 
 class Jump(ValueError):
-    """The error for a sample that cannot follow the sample before it: it is too far away, or frozen."""
+    """The error for a sample that is too far from the previous sample, or that is frozen."""
 
 
 class WithinByTick:
-    """The error at each tick, and the unknown ticks, as in ``reach.over_ticks`` but sample by sample."""
+    """The error at each tick, and the ticks at which it is unknown.
+
+    The results are the same as from ``reach.over_ticks``, but are updated with each sample.
+    """
 
     def __init__(self, longest_ns: int, period_ns: int) -> None:
         self._longest_ns, self._period_ns = longest_ns, period_ns
@@ -45,7 +49,10 @@ class WithinByTick:
         self.oldest = 0
 
     def add(self, begin_ns: int, end_ns: int, error: float, *, lost: bool = False) -> None:
-        """Add the ``error`` between two samples; ``lost`` or a gap makes the ticks between them unknown."""
+        """Add the ``error`` between two samples.
+
+        If ``lost`` is true, or if the gap is too long, the ticks between the samples become unknown.
+        """
         first, last = begin_ns // self._period_ns, -(-end_ns // self._period_ns)
         if lost or end_ns - begin_ns > self._longest_ns:
             self._lost |= dict.fromkeys(range(max(first + (last - first > 1), self.oldest), last))
@@ -70,7 +77,7 @@ class WithinByTick:
 
 
 class JointTrack:
-    """The positions, speeds and errors of the joints at the ticks up to the last sample."""
+    """The track of the joints: their positions and speeds at each tick up to the last sample, with errors."""
 
     def __init__(self, facts: JointFacts, period_ns: int, arm: ArmModel) -> None:
         self._facts, self._period_ns, self._arm = facts, period_ns, arm
@@ -84,7 +91,7 @@ class JointTrack:
         self._repeats = [Repeats() for _ in facts.move_at_most_radps]
 
     def unwrapped(self, time_ns: int, position_rad: Values) -> Values:
-        """Return the next ``position_rad`` (n,) without wraps; raise Jump if a joint turned too fast."""
+        """Return the next joint positions ``position_rad`` (n,) without wraps; raise Jump after a jump."""
         turned_rad = self._turned_rad
         if self.last is not None:
             step_s = (time_ns - self.last[0]) / NS
@@ -102,9 +109,10 @@ class JointTrack:
         return position_rad - turned_rad
 
     def add(self, time_ns: int, position_rad: Values, rates_radps: Values | None) -> int | None:
-        """Add a sample ``position_rad`` (n,), ``rates_radps`` (n,) that is later than the last.
+        """Add a new sample with ``position_rad`` (n,) and ``rates_radps`` (n,).
 
-        Return the time since which a joint is frozen, or None if all joints move.
+        Its time must be later than the time of the last sample. Return the time since which a joint is
+        frozen, or None if no joint is frozen.
         """
         sample, previous = (time_ns, position_rad, rates_radps), self.last
         self._before, self.last = previous, sample
@@ -189,7 +197,7 @@ class BodyTrack:
         return not self.samples or time_ns - self.samples[-1][0] >= SHORTEST_STEP_NS
 
     def refuse_jump(self, time_ns: int, position_m: Values) -> None:
-        """Raise Jump if the body cannot have reached ``position_m`` (3,) since the last sample."""
+        """Raise Jump if the body is too slow to have reached ``position_m`` (3,) since the last sample."""
         if self.samples:
             before_ns, before_m = self.samples[-1]
             step_s, way_m = (time_ns - before_ns) / NS, float(length(position_m - before_m))
@@ -198,9 +206,9 @@ class BodyTrack:
                 raise Jump(f"it go {way_m * 1e3:.4g} mm in {step_s * 1e3:.4g} ms, which can {most:g} m/s")
 
     def add(self, time_ns: int, position_m: Values) -> int | None:
-        """Add a sample at ``position_m`` (3,) that is later than the last.
+        """Add a sample at ``position_m`` (3,) that is later than the last sample.
 
-        Return the time since which the body is frozen, and so lost, or None if it is not.
+        Return the time since which the body is frozen and therefore lost, or None if it is not frozen.
         """
         since_ns = self._repeats.since(time_ns, tuple(position_m.tolist()))
         self.lost = since_ns is not None and not self._facts.at_rest
@@ -217,7 +225,7 @@ class BodyTrack:
         return since_ns if self.lost else None
 
     def at(self, tick: int) -> tuple[Values, float] | None:
-        """Return the body's place at ``tick`` and its error, or None if they are unknown."""
+        """Return the body's position at ``tick`` and its error, or None if the position is unknown."""
         if not self.samples or self._first_ns is None:
             return None
         time_ns, last_ns = tick * self._period_ns, self.samples[-1][0]

@@ -1,4 +1,7 @@
-"""Claims on a run that still grows, with the verdict of ``FormulaClaim`` on the run up to every tick."""
+"""Judge claims on a run that still continues.
+
+After each tick, the verdict is the same as the verdict of ``FormulaClaim`` on the run up to this tick.
+"""
 
 from __future__ import annotations
 
@@ -47,9 +50,10 @@ AT_TICK, CELL = 0, 1
 
 
 def watched_formula(sentence: str) -> Formula:
-    """Return the formula of a claim: ``sentence`` itself, or the formula of a catalogue's sentence.
+    """Return the formula of a claim.
 
-    Raise FormulaError if a sentence of the catalogue has no formula.
+    The ``sentence`` is a formula itself, or a sentence of the catalogue that has a formula. Raise
+    FormulaError if a sentence of the catalogue has no formula.
     """
     if (claimed := entry_claimed(sentence)) is None:
         return parse_formula(sentence)
@@ -62,7 +66,7 @@ def watched_formula(sentence: str) -> Formula:
 
 
 class WatchedClaim:
-    """A claim on the run so far.
+    """A claim that is judged on the run up to the latest tick.
 
     The constructor raises FormulaError if ``sentence`` has a signal outside ``known``, or if it needs
     unbounded memory.
@@ -79,9 +83,9 @@ class WatchedClaim:
         self.single = len(self.parts) == 1
 
     def see(self, seen: Values, first: int, *, grown: bool) -> None:
-        """Update the verdicts by the signals ``seen`` (m, signals, 6) of m ticks, from ``first`` on.
+        """Update the verdicts with the signals ``seen`` (m, signals, 6) of m ticks from tick ``first`` on.
 
-        ``grown`` states that the last of these ticks is new.
+        ``grown`` is True if the last of these ticks has not been judged before.
         """
         for part in self.parts:
             part.see(seen, first, grown=grown)
@@ -94,20 +98,24 @@ class WatchedClaim:
 
     @property
     def latest(self) -> Verdict:
-        """Return the verdict at the latest decided tick if the claim is about every tick, else on the run."""
+        """Return the verdict at the latest decided tick.
+
+        If the claim is not about every tick, return the verdict on the run.
+        """
         first = self.parts[0]
         return first.latest if self.single else _worst([part.latest for part in self.parts])
 
     @property
     def deciding(self) -> WatchedPart:
-        """Return the first part with the worst verdict."""
+        """Return the part that has the worst verdict; if several parts have it, return the first of them."""
         return next(part for part in self.parts if part.verdict is self.verdict)
 
 
 class WatchedPart:
-    """A part of a claim, with its ``verdict`` on the run so far and its ``latest`` verdict at a tick.
+    """A part of a claim, with its ``verdict`` on the run so far, and its verdict at one tick (``latest``).
 
-    ``margin`` is the least possible margin of the run, or for a violation the largest; None if infinite.
+    ``margin`` is the least possible margin of the run. If the part is violated, it is the largest possible
+    margin instead. If the margin is infinite, ``margin`` is None.
     """
 
     def __init__(self, part: Formula, period_s: float, revisable: int) -> None:
@@ -119,10 +127,11 @@ class WatchedPart:
         rising = {atom for atom in directions if 1 in directions[atom]}
 
         def prefix(formula: Formula, least: int, most: int) -> Prefix:
-            """Return the Prefix of ``formula``, with ``least`` and ``most`` read at ticks or in cells.
+            """Return a Prefix that computes the margins of ``formula`` from the bounds at ticks or in cells.
 
-            A cell is the time from one tick to the next. The low bound of a comparison's margin decides the
-            least margin of ``formula``. Below a "not" or in a trigger, it decides the largest margin.
+            A cell is the time from one tick to the next. For the least margin of ``formula``, the Prefix uses
+            the lower bound of a comparison's margin. Inside a "not" or a trigger, it uses the upper bound
+            instead.
             """
 
             def columns(atom: Comparison | Truth) -> tuple[int, int, int]:
@@ -169,7 +178,7 @@ class WatchedPart:
             self.latest = _verdict(self._least.latest[0], self._most.latest[1])
 
     def _exercise(self, seen: Values, first: int) -> None:
-        """Note which signals exercise the part, by the rules of ``claims.formulas.claim``."""
+        """Record which signals exercise the part, by the rules of ``claims.formulas.claim``."""
         if not self._asked and isinstance(self.part, Globally):
             self._asked = self._most.triggered
         elif not self._asked and (first == 0 or not isinstance(self.part, Initially)):
@@ -182,7 +191,7 @@ class WatchedPart:
 
     @staticmethod
     def _tries(own: Values, near_m: float) -> NDArray[np.bool_]:
-        """Return at which ticks (m,) a signal ``own`` (m, 6) exercises a claim, or is within ``near_m``."""
+        """Return whether ``own`` (m, 6) exercises a claim or is below ``near_m`` at each tick, shape (m,)."""
         tries: NDArray[np.bool_] = (own[:, EXERCISED] > 0.0) | (
             ~np.isnan(own[:, VALUE]) & (own[:, HIGH] < near_m)
         )
@@ -190,13 +199,19 @@ class WatchedPart:
 
     @property
     def exercised(self) -> bool:
-        """Return whether the run exercised the part; False if the first tick may already meet its goal."""
+        """Return whether the run exercised the part.
+
+        The result is False if the goal of the part may have been true already at the first tick.
+        """
         if self._end is not None and self._end.most >= 0.0:
             return False
         return self._asked and not self._untried
 
     def reason(self, now: Values) -> str:
-        """Return the signals ``now`` (signals, 6) as text, which says if the run never exercised the part."""
+        """Return the signals ``now`` (signals, 6) as text.
+
+        If the run has never exercised the part, the text says so.
+        """
         values = ", ".join(
             _value_text(signal, now[k]) for k, signal in zip(self._read, self._signals, strict=True)
         )
@@ -232,7 +247,7 @@ def _verdict(least: float, most: float) -> Verdict:
 
 
 def _value_text(signal: Signal, known: Values) -> str:
-    """Return a signal's value as text, with both bounds in ``known`` (6,) if they differ."""
+    """Return the text of a signal's value, which has both bounds in ``known`` (6,) if they differ."""
     if known[LOW] == -inf or isnan(known[VALUE]):
         return f"{signal.words} not known"
     unit: Unit = shown_in(signal.dimension)

@@ -1,1 +1,1 @@
-"""Scenarios and spaces made from the logs of real cells, and comparisons of both worlds with these logs."""
+"""Make scenarios and spaces from the logs of real cells, and compare both worlds with these logs."""

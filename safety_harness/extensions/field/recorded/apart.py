@@ -1,9 +1,10 @@
-"""The difference between two motions: statistics with intervals, and a delay and offsets between them.
+"""Compare two motions: estimate the delay, the offsets, and statistics of the difference.
 
-Successive differences in a run are almost equal, so they are no independent sample. Intervals come from the
-delete-a-block jackknife (Künsch, 1989). It cuts the run into BLOCKS blocks, and repeats the estimate with one
-block left out at a time. Because the blocks are few, the interval uses Student's t with BLOCKS - 1 degrees of
-freedom. The intervals are approximate, and apply to this recording only.
+Each estimate has an interval. Differences at successive ticks are almost equal, so they are not independent
+samples. The intervals are therefore computed with the delete-a-block jackknife (Künsch, 1989). It cuts the
+run into BLOCKS blocks, and repeats the estimate once without each of the blocks. Because the blocks are few,
+the interval uses Student's t with BLOCKS - 1 degrees of freedom. The intervals are approximate, and apply to
+this recording only.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import scipy
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-BLOCKS, CONFIDENCE, USUALLY = 10, 0.95, 0.95
+BLOCKS, CONFIDENCE, USUALLY = 10, 0.95, 0.95  # the number of blocks is a choice; see the module's docstring
 FEWEST = 10 * BLOCKS  # samples
 LONGEST_S, STEP_S = 0.25, 0.004  # the longest delay that the fit tries, and the step between delays
 LEAST_RADPS = 0.01  # least root mean square of the joints' speeds about their means that shows a delay
@@ -24,7 +25,10 @@ LEAST_RADPS = 0.01  # least root mean square of the joints' speeds about their m
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """A value with its interval ``low`` to ``high`` at about CONFIDENCE; both are None if there is none."""
+    """An estimate with its confidence interval from ``low`` to ``high``.
+
+    The confidence is about CONFIDENCE. Without an interval, ``low`` and ``high`` are None.
+    """
 
     value: float
     low: float | None
@@ -33,10 +37,11 @@ class Estimate:
 
 @dataclass(frozen=True, kw_only=True)
 class Difference:
-    """Statistics of simulated minus recorded values of one quantity, in ``unit`` (rad, m).
+    """Statistics of a difference, that is, the simulated minus the recorded value of one quantity.
 
-    At a share USUALLY of the ``samples`` ticks, the absolute difference is at most ``usually``. The largest
-    difference is ``largest``, at ``at_s``. It is uncertain by ``recorded_within``, as the recording is.
+    The unit is ``unit``, which is rad or m. At the fraction USUALLY of the ``samples`` ticks, the absolute
+    difference is at most ``usually``. The largest absolute difference is ``largest``, at the time ``at_s``.
+    ``recorded_within`` is the largest uncertainty of the recorded values.
     """
 
     what: str
@@ -51,11 +56,12 @@ class Difference:
 
 @dataclass(frozen=True, kw_only=True)
 class DelayFit:
-    """The least-squares fit of recorded(t) = simulated(t - late) + offset to the motion of all joints.
+    """The delay and the offsets that a least-squares fit to the motion of all joints gives.
 
-    ``late`` [s] is None if the motion shows no delay, for the reason ``why``. ``offsets`` [rad] are in the
-    order of the joints. ``before`` [rad] is the root mean square of all joints' differences. ``left`` [rad]
-    is the root mean square that remains after the fit.
+    The model of the fit is recorded(t) = simulated(t - late) + offset. ``late`` [s] is None if the motion
+    shows no delay; ``why`` then states the reason. ``offsets`` [rad] are in the order of the joints.
+    ``before`` [rad] is the root mean square of all joints' differences. ``left`` [rad] is the root mean
+    square that remains after the fit.
     """
 
     late: Estimate | None
@@ -68,7 +74,7 @@ class DelayFit:
 def difference_of(
     quantity: str, unit: str, time_s: Floats, differences: Floats, recorded_within: Floats
 ) -> Difference | None:
-    """Return the statistics of a difference; None for fewer than FEWEST samples.
+    """Return the statistics of a difference, or None if there are fewer than FEWEST samples.
 
     Args:
         quantity: The name of the quantity.
@@ -96,9 +102,10 @@ def difference_of(
 
 
 def fit_of(time_s: Floats, recorded: Floats, simulated_s: Floats, simulated: Floats) -> DelayFit | None:
-    """Return the delay and offsets of recorded joints against simulated joints; None for too few samples.
+    """Return the delay and the offsets of the recorded joints relative to the simulated joints.
 
-    The fit assumes that the simulated arm stands still before its first sample.
+    Return None if there are too few samples. The fit assumes that the simulated arm stands still before its
+    first sample.
 
     Args:
         time_s: The times (n,) of the recording [s].
@@ -108,6 +115,7 @@ def fit_of(time_s: Floats, recorded: Floats, simulated_s: Floats, simulated: Flo
 
     """
     most_s = min(LONGEST_S, float(simulated_s[-1]) / 8.0)
+    # Every tried delay then uses the same samples, so the residuals can be compared.
     there = time_s <= simulated_s[-1] - most_s
     time_s, recorded = time_s[there], recorded[there]
     if len(time_s) < FEWEST:
@@ -136,6 +144,7 @@ def fit_of(time_s: Floats, recorded: Floats, simulated_s: Floats, simulated: Flo
     if why:
         late_s, rates = 0.0, np.zeros_like(rates)
     rest, joints = differences(late_s), recorded.shape[1]
+    # The fit is linear in a small further delay, so sums over blocks suffice for the jackknife.
     sums = np.column_stack([np.ones(len(rest)), rest, rates, rates * rest, rates * rates])
     value, half = _jackknife(sums, lambda total: _normal(total, joints))
     return DelayFit(
@@ -148,14 +157,15 @@ def fit_of(time_s: Floats, recorded: Floats, simulated_s: Floats, simulated: Flo
 
 
 def _at(time_s: Floats, known_s: Floats, values: Floats) -> Floats:
-    """Return (n, j) ``values`` (m, j) interpolated linearly at ``time_s`` (n,), constant beyond the ends."""
+    """Return ``values`` (m, j) interpolated linearly at ``time_s`` (n,), and constant beyond the ends."""
     return np.column_stack([np.interp(time_s, known_s, column) for column in values.T])
 
 
 def _normal(total: Floats, joints: int) -> Floats:
-    """Return (1 + j,) a further delay d and offsets o, from the least squares of difference = o - d rate.
+    """Return a further delay d, followed by the offsets o of the j joints, shape (1 + j,).
 
-    ``total`` has the sums of differences, rates and their products over the samples.
+    They are the least-squares solution of the equation difference = o - d rate. ``total`` has the number of
+    samples, and the sums of differences, rates and their products.
     """
     n, (difference, rate, both, square) = total[0], total[1:].reshape(4, joints)
     slope = (square - rate**2 / n).sum()
@@ -164,7 +174,10 @@ def _normal(total: Floats, joints: int) -> Floats:
 
 
 def _jackknife(rows: Floats, estimate: Callable[[Floats], Floats]) -> tuple[Floats, Floats]:
-    """Return the ``estimate`` from the sums of ``rows`` (n, k), and half of its interval's length."""
+    """Return an estimate and half the width of its interval.
+
+    The function ``estimate`` computes the estimate from the sums of ``rows`` (n, k).
+    """
     blocks = np.array([part.sum(axis=0) for part in np.array_split(rows, BLOCKS)])
     total = blocks.sum(axis=0)
     without = np.array([estimate(total - block) for block in blocks])

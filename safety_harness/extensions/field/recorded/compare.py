@@ -1,7 +1,8 @@
-"""The comparison of a log with both worlds, in which the same controller meets the recorded hands.
+"""Compare a log with runs in both worlds.
 
-The recorded values are those of the log's trace at its ticks, with the stated uncertainty, except in gaps.
-The simulated values are interpolated linearly between the ticks of the simulation.
+In these runs, the controller of the log's scenario meets the recorded hands. The recorded values come from
+the log's trace at its ticks, with the stated uncertainty; ticks in gaps are omitted. The simulated values are
+interpolated linearly between the ticks of the simulation.
 """
 
 from __future__ import annotations
@@ -48,9 +49,9 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class ClosestHand:
-    """The least distance of a hand [m] in simulation, and the bounds of its recorded least distance.
+    """The least distance of a hand in the simulation [m], and bounds of its least distance in the recording.
 
-    ``recorded_least_m`` is None if the log has a gap, since the hand may have been nearer in the gap.
+    ``recorded_least_m`` is None if the log has a gap, because the hand may have been nearer during the gap.
     """
 
     hand: str
@@ -61,7 +62,7 @@ class ClosestHand:
 
 @dataclass(frozen=True, kw_only=True)
 class ClaimOfBoth:
-    """The verdicts of one claim on the log and on a simulated run, with the margins as texts."""
+    """Two verdicts on one claim, for the log and for a simulated run, and the texts of both margins."""
 
     sentence: str
     recorded: Verdict
@@ -87,7 +88,10 @@ class ClaimOfBoth:
 
 @dataclass(frozen=True, kw_only=True)
 class WorldBeside:
-    """The comparison of one world with the log; ``absent`` lists what could not be compared, and why."""
+    """The comparison of one world with the log.
+
+    ``absent`` lists the comparisons that are missing, with the reasons.
+    """
 
     world: str
     joints: tuple[Difference, ...]
@@ -100,13 +104,16 @@ class WorldBeside:
 
     @property
     def contradicted(self) -> int:
-        """The number of claims whose verdict on the run contradicts the verdict on the log."""
+        """The number of claims for which the verdict on the run contradicts the verdict on the log."""
         return sum(claim.differs for claim in self.claims)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CellComparison:
-    """The comparison of both worlds with a recorded cell, with versions and (name, sha256) of all files."""
+    """The comparison of both worlds with a recorded cell.
+
+    It includes software versions, and a pair (name, sha256) for each file.
+    """
 
     log: str
     title: str
@@ -129,7 +136,7 @@ class CellComparison:
 
     @property
     def claims(self) -> tuple[ClaimOfBoth, ...]:
-        """The claims of all worlds."""
+        """The comparisons of claims in all worlds."""
         return tuple(claim for world in self.worlds for claim in world.claims)
 
 
@@ -148,6 +155,7 @@ def compare_worlds(made: FromLog) -> CellComparison:
         place = Place(file=made.log.file, field="log.joints")
         raise LogError(place=place, expected=f"{least_s:g} s at least", got=f"{made.scenario.duration_s:g} s")
     recorded = judge(replace(trace, scenario=replace(trace.scenario, claims=made.scenario.claims)))
+    # Refuse a missing engine before the first run.
     for world in WORLDS:
         world.opener()
     worlds = tuple(_beside(made, world, recorded) for world in WORLDS)
@@ -230,7 +238,7 @@ def beside(
 
 
 def _simulated(trace: Trace, name: str, time_s: Floats) -> Floats:
-    """Return the column ``name`` (n, ...) at ``time_s`` (n,), interpolated linearly between ticks."""
+    """Return the column ``name`` (n, ...) at the times ``time_s`` (n,), interpolated between ticks."""
     values = trace.ticks[name].reshape(len(trace.ticks), -1)
     columns = np.column_stack([np.interp(time_s, trace.time_s, column) for column in values.T])
     return columns.reshape(len(time_s), *trace.ticks[name].shape[1:])
@@ -266,6 +274,7 @@ def _distances(
             ClosestHand(
                 hand=hand.name,
                 simulated_m=float(other_m.min()),
+                # If the hand was not measured at all times, it may have come nearer meanwhile.
                 recorded_least_m=float((own_m - off_m).min()) if there.sum() == shared.sum() else None,
                 recorded_most_m=float((own_m + off_m).min()),
             ),
@@ -288,7 +297,7 @@ def as_json(comparison: CellComparison) -> str:
 
 
 def read_comparison(path: Path) -> CellComparison:
-    """Return the comparison in a file that ``compare-worlds`` wrote; raise InputError for another file."""
+    """Return the comparison in a file that ``compare-worlds`` wrote; raise InputError for any other file."""
     content = of_format(read_json(path, "what compare-worlds wrote"), FORMAT, path)
     del content["format"]
     return typed(content, CellComparison, path)

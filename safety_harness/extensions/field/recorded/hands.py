@@ -1,4 +1,4 @@
-"""The hands of a log as recordings for a scenario, with unchanged samples from the first instant on.
+"""Make recordings of a log's hands for a scenario, with unchanged samples from the first instant on.
 
 The code does not resample, smooth or repair the samples. It interpolates only the place of a hand at the
 first instant, linearly between the samples before and after it.
@@ -29,7 +29,7 @@ HAND, ELBOW = "hand", "elbow"
 
 @dataclass(frozen=True, eq=False)
 class HandFile:
-    """One hand of a scenario, and the bytes of its recording; ``notes`` are texts for the user."""
+    """One hand of a scenario, with the bytes of its recording, and with ``notes`` for the user."""
 
     hand: RecordedHand
     data: bytes
@@ -37,13 +37,13 @@ class HandFile:
 
     @property
     def name(self) -> str:
-        """The name of the recording's file, beside the scenario."""
+        """The name of the recording's file, which is in the scenario's folder."""
         return str(self.hand.recording)
 
 
 @dataclass(frozen=True, eq=False)
 class _Track:
-    """The samples of a body: times (n,) since the first instant, positions (n, 3) in the base frame [m]."""
+    """The samples of a body: the times (n,) since the first instant, and the positions (n, 3) in base [m]."""
 
     time_ns: NDArray[np.int64]
     position_in_base_m: NDArray[np.float64]
@@ -122,6 +122,7 @@ def _track(log: CellLog, samples: LogSamples) -> _Track:
         _refuse_gap(log, samples, first + index + 1, begin, end)
     if end_ns - time_ns[last] > longest_ns // 2:
         _refuse_gap(log, samples, last, int(time_ns[last]), end_ns, half=True)
+    # A sample at time 0 or just after it would repeat the first row, which is interpolated at time 0.
     used = np.arange(first, last + 1)[time_ns[first : last + 1] > SHORTEST_NS]
     at_first = [np.interp(0.0, time_ns.astype(np.float64), column) for column in samples.values.T]
     return _Track(
@@ -132,7 +133,7 @@ def _track(log: CellLog, samples: LogSamples) -> _Track:
 def _refuse_gap(
     log: CellLog, samples: LogSamples, index: int, begin_ns: int, end_ns: int, *, half: bool = False
 ) -> None:
-    """Raise LogError for a gap from ``begin_ns`` to ``end_ns``, with a hint to parts without this gap."""
+    """Raise LogError for a gap from ``begin_ns`` to ``end_ns``, and suggest parts of the log without it."""
     assert log.hand_facts is not None
     most_ms = log.hand_facts.longest_gap_s * (0.5e3 if half else 1e3)
     expected = f"a sample every {most_ms:g} ms, as hands: {{longest gap: ...}} says"
@@ -149,13 +150,13 @@ def _refuse_gap(
 
 
 def _part_begins_s(log: CellLog) -> float:
-    """Return the begin [s] of the log's part, on the scale of the options ``from`` and ``to``."""
+    """Return the time [s] at which the log's part begins, on the scale of the options ``from`` and ``to``."""
     streams = dict(log.said.entries("the log of a cell"))["log"].entries("streams")
     return next((field.quantity(TIME) for key, field in streams if key == "from"), 0.0)
 
 
 def _csv(tracks: dict[str, _Track]) -> bytes:
-    """Return ``tracks`` as one CSV table, whose cells are empty where a track has no sample at that time."""
+    """Return ``tracks`` as one CSV table; a cell is empty if its track has no sample at that time."""
     times = np.unique(np.concatenate([track.time_ns for track in tracks.values()]))
     header = ["time_s", *(f"{name}_{axis}_m" for name in tracks for axis in "xyz")]
     cells: list[Sequence[str]] = [[f"{time / NS:.9f}" for time in times.tolist()]]

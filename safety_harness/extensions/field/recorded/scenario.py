@@ -1,4 +1,4 @@
-"""Scenarios from a log of real events, and spaces around them.
+"""Make scenarios from a log of real events, and spaces around them.
 
 The log provides the start of the arm, the motion of the hands and the claims. A scenario of the cell provides
 the rest: the desired TCP, the object, the hand sensor and the controller.
@@ -33,7 +33,7 @@ from safety_harness.trace.trace import Trace
 
 SLIGHTLY_BEYOND_RAD = math.radians(1.0)  # an encoder's zero and noise may show a joint beyond its limit
 
-WIDTH = 108
+WIDTH = 108  # 110 columns less the "# " of a comment
 AXES = ("x", "y", "z")
 PACE, SHIFT = "pace", "shift {}"
 _JUDGED_BY = ("hand", "braking")  # settings that affect the verdicts on logs and runs
@@ -44,8 +44,9 @@ def read_part(file: Path, begin: str | None = None, end: str | None = None) -> C
 
     Args:
         file: The LOG.yaml.
-        begin: The begin of the part, a text such as ``1.5 s``, or None for the file's own ``from``.
-        end: The end of the part, a text such as ``4 s``, or None for the file's own ``to``.
+        begin: The time at which the part begins, as text such as ``1.5 s``, or None for the file's own
+            ``from``.
+        end: The time at which the part ends, as text such as ``4 s``, or None for the file's own ``to``.
 
     """
     description, part = said_in(file), {}
@@ -67,9 +68,10 @@ def _mapping(entries: dict[str, str] | dict[str, Mapping]) -> Mapping:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FromLog:
-    """The ``scenario`` made from ``log``, in which the recorded hands move again, and the log's ``trace``.
+    """A ``scenario`` that reproduces the events in ``log``, and the ``trace`` of the log.
 
-    ``cell`` is the scenario with the parts that the log lacks. ``hands`` contain the recordings.
+    In the scenario, the hands repeat the recorded motion. ``cell`` is another scenario, which provides the
+    parts that ``log`` lacks. ``hands`` contains the recordings of the hands.
     """
 
     log: CellLog
@@ -82,9 +84,10 @@ class FromLog:
 
 @dataclass(frozen=True, kw_only=True)
 class Around:
-    """The variations of a space: shifts by up to ``shift_m`` along each axis, and ``speeds`` of the hands.
+    """The variations in a space.
 
-    ``speeds`` (low, high) are the least and the largest factor on a hand's recorded speed.
+    All hands are shifted by up to ``shift_m`` along each axis. Their recorded speed is multiplied by a factor
+    in the interval ``speeds`` (low, high).
     """
 
     shift_m: float | None = None
@@ -150,7 +153,7 @@ USUAL = "opposite pose"
 def usual_cell(log: CellLog, desired_tcp_in_base_m: Vector3 | None = None) -> Scenario:
     """Return a scenario of the log's arm, obstacles and settings, with defaults for the rest.
 
-    The avoider is ``USUAL``. The object lies under the desired TCP, as by default.
+    The avoider is ``USUAL``. The object lies at its default place, under the desired TCP.
 
     Args:
         log: The log.
@@ -170,7 +173,11 @@ def usual_cell(log: CellLog, desired_tcp_in_base_m: Vector3 | None = None) -> Sc
 
 
 def _elbow_towards(cell: Scenario, name: str) -> Vector3 | None:
-    """Return the point of the forearm from the hand ``name`` in ``cell``, or from the only hand there."""
+    """Return the point towards which the forearm of a hand points in ``cell``.
+
+    This hand has the given ``name``. If there is no such hand but ``cell`` has a single hand, the function
+    uses that hand. The result is None without a suitable hand.
+    """
     hands = [hand for hand in cell.hands if hand.name == name] or list(cell.hands)
     if len(hands) != 1 or isinstance(hands[0], JoinedHand):
         return None
@@ -207,7 +214,7 @@ def scenario_text(made: FromLog, *, named: str) -> str:
 
 
 def space_text(made: FromLog, around: Around, *, named: str) -> str:
-    """Return the text of a space around the scenario, which shifts and speeds up all hands together.
+    """Return the text of a space around the scenario, in which all hands are shifted and sped up together.
 
     Raise LogError if the log has no hands.
     """
@@ -216,6 +223,7 @@ def space_text(made: FromLog, around: Around, *, named: str) -> str:
             "--around, --speed", "a log with hands, which these options vary", "one without"
         )
     slowest, fastest = around.speeds or (1.0, 1.0)
+    # The slowest draw needs the most time for the whole recording.
     scenario = replace(made.scenario, duration_s=made.scenario.duration_s / slowest)
     tree = dict(tree_of(scenario))
     del tree["scenario"], tree["seed"]
@@ -297,7 +305,10 @@ def _comments(paragraphs: Sequence[str]) -> str:
 
 
 def write_all(files: dict[Path, bytes]) -> None:
-    """Write all ``files``; raise OutputError, before any is written, if a file exists with other contents."""
+    """Write all ``files``.
+
+    If a file already exists with other contents, raise OutputError and write no file.
+    """
     for path, data in files.items():
         if path.is_symlink() or (path.exists() and (not path.is_file() or path.read_bytes() != data)):
             raise OutputError.of_file(path, "a file that is not there yet, or the same", "another one")

@@ -1,4 +1,4 @@
-"""The lines for people about the comparison of a recorded cell with both worlds."""
+"""Describe the comparison of a recorded cell with both worlds, in lines of text for people."""
 
 from __future__ import annotations
 
@@ -38,7 +38,11 @@ def world_lines(world: WorldBeside, usually: float) -> Iterator[str]:
 
 
 def difference_words(row: Difference, usually: float) -> str:
-    """Return the mean difference with its interval, the usual and largest size, and the log's uncertainty."""
+    """Return a text about a difference.
+
+    The text contains the mean with its interval, the usual size, the largest size, and the uncertainty of the
+    recording.
+    """
     return (
         f"mean {estimate(row.mean, row.unit)}; {usually:.0%} of the time within "
         f"{shown(row.usually, row.unit)}, at most {shown(row.largest, row.unit)} at {row.at_s:.3f} s; "
@@ -47,7 +51,7 @@ def difference_words(row: Difference, usually: float) -> str:
 
 
 def closest_words(row: ClosestHand) -> str:
-    """Return the least distances of a hand in the simulation and in the log."""
+    """Return the text of a hand's least distances in the simulation and in the log."""
     least = "unknown" if row.recorded_least_m is None else shown(row.recorded_least_m, "m")
     return (
         f"least distance of {row.hand}: simulated {shown(row.simulated_m, 'm')}, recorded {least} to "
@@ -65,7 +69,7 @@ def fit_words(fit: DelayFit, joints: Sequence[str]) -> Iterator[str]:
 
 
 def claim_words(row: ClaimOfBoth) -> str:
-    """Return the verdicts of a claim on log and run, with their margins."""
+    """Return the text of a claim's verdicts and margins, for the log and for the run."""
     return (
         f"{row.sentence}: recorded {row.recorded.value} {row.recorded_margin}, "
         f"simulated {row.simulated.value} {row.simulated_margin}"
@@ -73,13 +77,13 @@ def claim_words(row: ClaimOfBoth) -> str:
 
 
 def estimate(of_value: Estimate, unit: str) -> str:
-    """Return a value with its interval, as text."""
+    """Return the text of a value with its interval."""
     if of_value.low is None or of_value.high is None:
         return f"{shown(of_value.value, unit)} (no interval)"
     return f"{shown(of_value.value, unit)} ({shown(of_value.low, unit)} to {shown(of_value.high, unit)})"
 
 
 def shown(value: float, unit: str) -> str:
-    """Return a value in degrees, millimetres or milliseconds."""
+    """Return the text of a value in degrees, millimetres or milliseconds."""
     text = f"{degrees(value):.3f}" if unit == "rad" else f"{value * 1e3:.2f}"
     return f"{'0' if float(text) == 0.0 else text} {'deg' if unit == 'rad' else f'm{unit}'}"

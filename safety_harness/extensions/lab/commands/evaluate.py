@@ -1,4 +1,4 @@
-"""``safety-harness evaluate``: score any avoider directly, before the gate and without a simulation."""
+"""Define ``safety-harness evaluate``, which scores an avoider's answers without a gate or a simulation."""
 
 from __future__ import annotations
 
@@ -33,49 +33,76 @@ def evaluate(
     avoiders: Annotated[
         list[str],
         Argument(
-            help="Any avoiders: shipped ones by name, FILE.py:NAME, FILE.safetensors or FILE.onnx.",
+            help="One or more avoiders: the name of a shipped avoider, FILE.py:NAME, FILE.safetensors or "
+            "FILE.onnx.",
             metavar="AVOIDER...",
         ),
     ],
     regions: Annotated[
-        list[str] | None, Option("--region", help="Only this named region; may be repeated.", metavar="NAME")
+        list[str] | None,
+        Option(
+            "--region",
+            help="Draw questions only from this named region. May be repeated. Without --region and "
+            "--space, all named regions are used.",
+            metavar="NAME",
+        ),
     ] = None,
     spaces: Annotated[
         list[Path] | None,
-        Option("--space", help="The hands and TCPs of a space's draws; may be repeated.", metavar="FILE"),
+        Option(
+            "--space",
+            help="Draw questions with the hands and TCPs that occur in this scenario space. May be repeated.",
+            metavar="FILE",
+        ),
     ] = None,
     against: Annotated[
         str | None,
-        Option(help="A reference: findings are faults that it has not, or less often.", metavar="AVOIDER"),
+        Option(
+            help="A reference avoider. Findings are then only the faults that the reference does not have,"
+            " or has less often.",
+            metavar="AVOIDER",
+        ),
     ] = None,
     questions: Annotated[
         int | None,
-        Option(help="Number in the first region; default: as many as the avoider's pace allows.", min=20),
+        Option(
+            help="Number of questions in the first region. Default: the number depends on the speed of the"
+            " avoider.",
+            min=20,
+        ),
     ] = None,
     search: Annotated[
         int,
         Option(
-            help="Number of questions in the search for the worst; 0: no search.", min=0, metavar="BUDGET"
+            help="Number of questions in the search for the worst answers. 0 means no search.",
+            min=0,
+            metavar="BUDGET",
         ),
     ] = 4_000,
     seed: Seed = 0,
-    out: Annotated[Path, Option(help="Folder for the page, the figures and the worst questions.")] = Path(
-        "reports/evaluate"
-    ),
+    out: Annotated[
+        Path,
+        Option(help="Folder for the page, the results as JSON, and the questions with the worst answers."),
+    ] = Path("reports/evaluate"),
 ) -> int:
-    """Score the answers of avoiders directly, before any gate.
+    """Score the answers of avoiders directly, without a gate.
 
-    The command draws hands and TCPs in named regions, or from the draws of a
-    space, without a simulation.  It asks the avoider and yardsticks.  A search
-    finds the worst questions and writes them as scenario files for run. A Python
-    file is executed.
+    A question to an avoider consists of the positions of a hand and of the TCP.
+    The command draws questions from named regions, from scenario spaces, or
+    from both. It passes the questions to the avoider and to reference avoiders
+    (yardsticks), without a simulation. A search finds the questions with the
+    worst answers, and the command writes these questions as scenario files for
+    the command run. If an avoider is a Python file, the command executes this
+    file.
 
-    A finding is an answer that is wrong for any purpose of the avoider: towards
-    the hand, out of reach, missing, late, ... Differences from the yardsticks
-    appear beside it, and decide only with --against.
+    A finding is a defect that is unacceptable in every use of the avoider. For
+    example, an answer leads towards the hand, is out of reach, comes late or is
+    missing. The command lists differences from the yardsticks separately.
+    Without --against, these differences have no effect on the exit code.
 
-    Exit code 0: no finding.
-    Exit code 1: findings, or no region got a proposal.
+    Exit code 0: there is no finding.
+    Exit code 1: there are findings, or an avoider made no proposal in any
+    region.
     Exit code 2: bad input, or an avoider that does not answer.
     Exit code 130: interrupted.
     """
@@ -96,7 +123,7 @@ def evaluate(
     )
     interrupted = scores.scored.interrupted
     if not scores.avoiders:
-        say("no avoider has a score" + "; interrupted: the same command makes all again" * interrupted)
+        say("no avoider has a score" + "; interrupted: the same command repeats all" * interrupted)
         return scores.exit_code
     for avoider in scores.avoiders:
         result(*_lines(avoider, scores.scored.against))
@@ -108,7 +135,7 @@ def evaluate(
         explain(error)
         return BAD_INPUT
     if interrupted:
-        say("interrupted: the finished scores are saved; the same command makes all again")
+        say("interrupted: the finished scores are saved; the same command repeats all")
     else:
         command_line = ["safety-harness", "fuzz", "shipped:reaching-hands", "--avoider", avoiders[0]]
         next_step(shlex.join(command_line), "runs that violate a claim")
@@ -116,7 +143,10 @@ def evaluate(
 
 
 def _lines(scored: ScoredAvoider, against: str) -> Iterator[str]:
-    """Yield the terminal's lines about one avoider; ``against`` names the reference or is empty."""
+    """Yield the lines about one avoider for the terminal.
+
+    ``against`` is the name of the reference avoider, or empty if there is no reference avoider.
+    """
     from safety_harness.extensions.lab.commands.evaluation_tables import titled
     from safety_harness.extensions.lab.pages.score_tables import (
         COLUMNS,
@@ -153,5 +183,5 @@ def _lines(scored: ScoredAvoider, against: str) -> Iterator[str]:
 
 
 def _finding(finding: ScoreFinding) -> str:
-    """Return a finding as a line."""
+    """Return the line of text that describes a finding."""
     return f"  {finding.kind.value}{f' ({finding.region})' if finding.region else ''}: {finding.words}"

@@ -1,4 +1,7 @@
-"""The figures of an evaluation as plain tables: a row for each set and model, lengths in millimetres."""
+"""Format the figures of an evaluation as text tables.
+
+A table has one row for each pair of a model and an evaluation set. Lengths are in millimetres.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ Row = tuple[str, ...]
 
 
 def tables(figures: Sequence[Figures]) -> Iterator[str]:
-    """Yield the lines of four tables: errors, 95 % intervals, doubt and calibration curves."""
+    """Yield the lines of four tables: errors, 95 % intervals, spreads and calibration curves."""
     order = list(dict.fromkeys(item.set.name for item in figures))
     by_set = sorted(figures, key=lambda item: order.index(item.set.name))
     yield from titled(
@@ -53,7 +56,10 @@ def tables(figures: Sequence[Figures]) -> Iterator[str]:
 
 
 def _error_rows(by_set: Sequence[Figures]) -> Iterator[Row]:
-    """Yield the rows of errors; the floor of a set comes before the models."""
+    """Yield the rows of the table of errors.
+
+    For each set, the row of the least possible error (the floor) precedes the rows of the models.
+    """
     last = None
     for item in by_set:
         if item.set.name != last and item.set.floor is not None:
@@ -69,20 +75,20 @@ def _error_rows(by_set: Sequence[Figures]) -> Iterator[Row]:
 
 
 def _floor(floor: LabelFloor) -> Row:
-    """Return the cells of RMSE and MAE for the floor of a set."""
+    """Return the table cells with the least possible RMSE and MAE on a set."""
     rmse, mae = np.array(floor.rmse_m), np.array(floor.mae_m)
     overall = float(np.sqrt((rmse**2).mean()))
     return *map(_mm, floor.rmse_m), _mm(overall), *map(_mm, floor.mae_m), _mm(float(mae.mean()))
 
 
 def _both(errors: Errors) -> Row:
-    """Return the cells of RMSE and MAE for the errors of a model."""
+    """Return the table cells with the RMSE and MAE of a model."""
     rmse, mae = map(_mm, errors.rmse.tolist()), map(_mm, errors.mae.tolist())
     return *rmse, _mm(errors.overall_rmse), *mae, _mm(errors.overall_mae)
 
 
 def _interval_row(item: Figures) -> Row:
-    """Return the row about the intervals of one model on one set."""
+    """Return the table row with the interval coverage of one model on one set."""
     picp = tuple(_mean_picp(item.picp.get(name)) for name in VARIANTS)
     if item.intervals is None:
         return item.set.name, item.model, NONE, NONE, NONE, NONE, NONE, *picp
@@ -91,7 +97,7 @@ def _interval_row(item: Figures) -> Row:
 
 
 def _doubt_row(item: Figures) -> Row:
-    """Return the row about the spread of one model on one set."""
+    """Return the table row with the spread of one model on one set."""
     above = None if item.intervals is None else item.intervals.above_threshold
     return (
         item.set.name,
@@ -103,7 +109,7 @@ def _doubt_row(item: Figures) -> Row:
 
 
 def _curve_rows(item: Figures) -> Iterator[Row]:
-    """Yield a row for the calibration curve of each scale."""
+    """Yield one row with the calibration curve for each interval scale."""
     for name, curve in item.curves.items():
         yield item.set.name, item.model, VARIANTS[name], *map(_percent, curve.mean(axis=1).tolist())
 
@@ -125,7 +131,7 @@ def _mm(length_m: float) -> str:
 
 
 def titled(title: str, header: Row, rows: Iterable[Row]) -> Iterator[str]:
-    """Yield a table below its title.
+    """Yield the lines of a table, preceded by its title.
 
     Args:
         title: The title.

@@ -28,7 +28,8 @@ Cell = Annotated[
     str | None,
     Option(
         "--robot",
-        help="A scenario with the cell, arm and settings: a file, or shipped:NAME; default: the UR10's.",
+        help="A scenario that states the cell, the arm and the settings: a file, or shipped:NAME. "
+        "Default: the cell of the UR10.",
         metavar="SCENARIO",
     ),
 ]
@@ -42,20 +43,26 @@ commands = Typer()
 )
 def dataset(
     out: Annotated[Path, Argument(help="Folder for arrays.npz and manifest.json.", metavar="FOLDER")],
-    space: Annotated[str, Option(help="'seen', 'unseen hand', 'unseen tcp' or 'unseen both'.")] = "seen",
-    tcps: Annotated[int, Option(help="TCP positions.")] = 10_000,
-    candidates: Annotated[int, Option(help="Repulsive candidates for each TCP.")] = 100,
-    hands: Annotated[int, Option(help="Hand positions, joined with every TCP.")] = 500,
+    space: Annotated[
+        str,
+        Option(
+            help="The regions of the TCPs and hands: 'seen', 'unseen hand', 'unseen tcp' or 'unseen both'."
+        ),
+    ] = "seen",
+    tcps: Annotated[int, Option(help="Number of TCP positions.")] = 10_000,
+    candidates: Annotated[int, Option(help="Number of repulsive candidates for each TCP.")] = 100,
+    hands: Annotated[int, Option(help="Number of hand positions. Each is combined with every TCP.")] = 500,
     robot: Cell = None,
     seed: Seed = 0,
 ) -> int:
-    """Make a network's data set: TCP x hand, with eq. 13's labels.
+    """Make a data set of TCPs and hands, labelled by eq. 13 of the paper.
 
-    The defaults are the paper's 5,000,000 samples, in a few seconds.
+    The default data set has the paper's 5,000,000 samples. The command
+    generates it in a few seconds.
 
     Exit code 0: the data set is written.
     Exit code 2: bad input.
-    Exit code 130: interrupted, without a file.
+    Exit code 130: interrupted; no file was written.
     """
     from safety_harness.cli.progress import counting
     from safety_harness.extensions.lab.learning.cell import training_cell
@@ -98,31 +105,37 @@ def train(
     recipe: Annotated[
         str,
         Argument(
-            help="mc-dropout, mc-dropout-full, deterministic or ensemble, each also with paper- or trial- "
-            "before it; optimum, student or student-ensemble."
+            help="The kind of network and its training: mc-dropout, mc-dropout-full, deterministic or "
+            "ensemble, each also with the prefix paper- or trial-; or optimum, student or "
+            "student-ensemble."
         ),
     ] = "mc-dropout",
     robot: Cell = None,
     data: Annotated[
         Path | None,
-        Option(help="Folder of a data set; default: train makes one."),
+        Option(help="Folder of a data set. Default: the command generates a data set."),
     ] = None,
     out: Annotated[Path, Option(help="Folder for model.safetensors and the checkpoint.")] = Path(
         "models/new"
     ),
     seed: Seed = 0,
-    resume: Annotated[bool, Option("--resume", help="Go on from the folder's checkpoint.")] = False,
-    device: Annotated[str, Option(help="Device of PyTorch: cpu, cuda, ...")] = "cpu",
+    resume: Annotated[
+        bool, Option("--resume", help="Continue from the checkpoint in the folder of --out.")
+    ] = False,
+    device: Annotated[
+        str, Option(help="The device on which PyTorch computes, for example cpu or cuda.")
+    ] = "cpu",
 ) -> int:
-    """Train and calibrate a network of the UR10's or another cell.
+    """Train and calibrate a network for the cell of an arm.
 
-    "trial-mc-dropout" takes under a minute.  Ctrl-C costs the present epoch;
-    --resume continues from there, to the same bits.  Training needs PyTorch, the
-    extra "learning" of this package.
+    The recipe trial-mc-dropout takes less than a minute. Ctrl-C loses only the
+    current epoch. With --resume, a later call continues from the last complete
+    epoch and produces a bit-identical model. Training needs PyTorch; install
+    this package with the extra "learning".
 
     Exit code 0: the model is written.
     Exit code 2: bad input.
-    Exit code 130: interrupted.
+    Exit code 130: interrupted; --resume continues the training.
     """
     import shlex
 
@@ -190,7 +203,7 @@ def train(
 
 
 def _epoch_lines(recipe: Recipe, say: Callable[[str], None]) -> Callable[[Epoch], None]:
-    """Return a function that prints a line for each epoch: losses, progress and remaining time."""
+    """Return a function that prints the losses, the progress and the remaining time after each epoch."""
     begun_s, epochs = time.monotonic(), count(1)
 
     def report(epoch: Epoch) -> None:
@@ -214,15 +227,16 @@ def metrics(
         Argument(help="Model files (*.safetensors), or names of shipped models.", metavar="MODEL..."),
     ],
     robot: Cell = None,
-    samples: Annotated[int, Option(help="Fresh pairs of TCP and hand in each set.")] = 10_000,
+    samples: Annotated[int, Option(help="Number of new pairs of a TCP and a hand in each set.")] = 10_000,
     seed: Seed = 0,
-    out: Annotated[Path | None, Option(help="Also every figure, as JSON, to this file.")] = None,
+    out: Annotated[Path | None, Option(help="Also write all figures as JSON to this file.")] = None,
 ) -> int:
-    """Compare networks on seen and unseen space.
+    """Compare networks on inputs from seen and unseen space.
 
-    The tables have errors, intervals, coverage, and doubt as a detector, against
-    eq. 13's labels; ``evaluate`` scores any avoider.  Every model answers the
-    same questions, and no sample was used in training or calibration.
+    The tables show the errors relative to the labels of eq. 13, the intervals
+    and their coverage, and how well the spread detects unseen inputs. All
+    models answer the same inputs, which training and calibration did not use.
+    To score an avoider that is not such a network, use the command evaluate.
 
     Exit code 0: the tables are printed.
     Exit code 2: bad input.
@@ -261,22 +275,30 @@ def time_answers(
     avoider: Annotated[
         str | None,
         Argument(
-            help="Any avoider: a shipped one by name, FILE.py:NAME, FILE.safetensors or FILE.onnx.",
+            help="The avoider: the name of a shipped avoider, FILE.py:NAME, FILE.safetensors or FILE.onnx.",
             metavar="AVOIDER",
             show_default=False,
         ),
     ] = None,
     controller: OfController = None,
-    out: Annotated[Path | None, Option(help="Also a profile for scenarios, to this file *.json.")] = None,
-    questions: Annotated[int, Option(help="Least number of answers.", min=100, max=1_000_000)] = 1_000,
+    out: Annotated[
+        Path | None, Option(help="Also write the times as a profile for scenarios to this file (*.json).")
+    ] = None,
+    questions: Annotated[
+        int, Option(help="Smallest number of answers to measure.", min=100, max=1_000_000)
+    ] = 1_000,
     seed: Seed = 0,
-    scenario: Annotated[str, Option(help="What a controller drives.", metavar="FILE")] = "shipped:first-run",
+    scenario: Annotated[
+        str, Option(help="The scenario in which the controller of --controller runs.", metavar="FILE")
+    ] = "shipped:first-run",
 ) -> int:
-    """Measure answer times of an avoider or controller here: p50, p99, max.
+    """Measure the answer times of an avoider or controller on this machine.
 
-    A scenario can name the profile (settings: {avoidance: {decision time:
-    FILE.json}}).  Then it draws the simulated time of each answer from it.  A
-    Python file is executed.
+    The command prints the median, the 99th percentile and the maximum. With
+    --out, it also writes a profile of the times. If a scenario uses the profile
+    (settings: {avoidance: {decision time: FILE.json}}), its simulated answer
+    times are random draws from the profile. If the avoider is a Python file,
+    the command executes this file.
 
     Exit code 0: the times are printed.
     Exit code 2: bad input, or a program that does not answer.
@@ -330,23 +352,27 @@ def export(
     model: Annotated[
         str,
         Argument(
-            help="A model file (*.safetensors), a shipped model's name, or a run's trace.",
+            help="A model file (*.safetensors), the name of a shipped model, or the trace of a run.",
             metavar="MODEL|TRACE",
         ),
     ],
-    out: Annotated[Path, Option(help="The file to write; for a trace FILE.mcap.")],
+    out: Annotated[Path, Option(help="The file to write: FILE.onnx for a model, or FILE.mcap for a trace.")],
     seed: Seed = 0,
 ) -> int:
-    """Write a model as ONNX and compare them, or a run as MCAP.
+    """Write a model as ONNX, or a run as MCAP.
 
-    The comparison uses random questions.  A model needs PyTorch, the extra
-    "learning" of this package. With --out FILE.mcap the argument is a trace, and
-    needs the extra "logs".  The file has joints, transforms, hands, decisions and
-    verdicts as ROS 2 messages and in Foxglove's schemas, and a LOG.yaml beside it
-    for "judge".
+    After the export of a model, the command compares the answers of the model
+    with the answers of the ONNX file, for random inputs. This needs PyTorch;
+    install this package with the extra "learning".
+
+    The export of a trace to FILE.mcap needs the extra "logs". The MCAP file
+    contains the joints, transforms, hands, decisions and verdicts, as ROS 2
+    messages and in Foxglove's schemas. The command also writes a LOG.yaml, with
+    which the command judge can read the MCAP file.
 
     Exit code 0: the file is written.
-    Exit code 2: bad input, or the file answers differently; no file is written.
+    Exit code 2: bad input, or the ONNX file and the model differ; no file is
+    written.
     Exit code 130: interrupted.
     """
     from safety_harness.cell.avoidance.model_file import load_model

@@ -1,4 +1,4 @@
-"""``safety-harness prove``: claims for every question of a region, and ``--check`` of a certificate."""
+"""The command ``prove``: prove claims about a network on a region of inputs, or check a certificate."""
 
 from __future__ import annotations
 
@@ -22,40 +22,53 @@ def prove(
     file: Annotated[
         Path,
         Argument(
-            help="A plan of proofs; with --check a certificate, with --decisions a trace.",
+            help="A plan of proofs, a certificate (with --check), or a trace (with --decisions).",
             metavar="PLAN|CERTIFICATE|TRACE",
         ),
     ],
     check: Annotated[bool, Option("--check", help="Check a certificate with independent code.")] = False,
     model: Annotated[
-        Path | None, Option(help="The certificate's network, if it is not a shipped network.", metavar="FILE")
+        Path | None,
+        Option(
+            help="The network of the certificate for --check. Required if the network is not shipped.",
+            metavar="FILE",
+        ),
     ] = None,
-    out: Annotated[Path, Option(help="Folder for the certificate and wrong answers.")] = Path(
-        "reports/prove"
-    ),
-    minutes: Annotated[float, Option(help="Minutes for all claims together.", min=0.0)] = 5.0,
-    halvings: Annotated[int, Option(help="Most halvings of a box.", min=1, max=60)] = 40,
-    jobs: Annotated[int, Option(help="Processes.", min=1)] = 1,
+    out: Annotated[
+        Path, Option(help="Folder for the certificate, the page, and scenarios with wrong answers.")
+    ] = Path("reports/prove"),
+    minutes: Annotated[float, Option(help="Time limit for all claims together, in minutes.", min=0.0)] = 5.0,
+    halvings: Annotated[
+        int, Option(help="Largest number of times that the command halves a box.", min=1, max=60)
+    ] = 40,
+    jobs: Annotated[int, Option(help="Number of processes.", min=1)] = 1,
     decisions: Annotated[
         str | None,
         Option(
-            help="Add to a copy of a trace: is each decision the same for all hands so near by axis?",
+            help="Check for each decision in a trace whether it stays the same if the hand moves by up to "
+            "this length along each axis. The command adds the results to a copy of the trace.",
             metavar="LENGTH",
         ),
     ] = None,
-    resume: Annotated[bool, Option("--resume", help="Go on with the certificate in the folder.")] = False,
+    resume: Annotated[
+        bool, Option("--resume", help="Continue with the certificate in the folder of --out.")
+    ] = False,
 ) -> int:
     """Prove claims about every answer of a small ReLU network.
 
-    The bounds hold for the network's own arithmetic.  A region is halved until
-    its boxes are proven, or refuted as a whole; the rest is undecided.  A
-    question that the network itself answers wrongly refutes a claim.  It
-    becomes a scenario if a run can ask it.
+    A claim concerns all inputs in a region. The bounds account for the rounding
+    of the network's arithmetic. The command halves the region into boxes until
+    each box is proven, or is refuted for all its inputs, or until the time
+    ends. The remaining boxes are undecided. A single input with a wrong answer
+    of the network also refutes a claim. If a simulated run can begin with this
+    input, the command writes the input as a scenario.
 
-    Exit code 0: all proven, or all decisions of a trace the same.
-    Exit code 1: not so, or a certificate that is not confirmed.
+    Exit code 0: all claims are proven, all decisions stay the same
+    (--decisions), or the certificate is confirmed (--check).
+    Exit code 1: a claim is not proven, a decision may change (--decisions), or
+    the certificate is not confirmed (--check).
     Exit code 2: bad input.
-    Exit code 130: interrupted, with a certificate of the results so far.
+    Exit code 130: interrupted; the certificate has the results until then.
     """
     if check:
         return _check(file, model)
@@ -86,7 +99,7 @@ def prove(
 
 
 def _print_shares(proved: ProofResult) -> None:
-    """Print the proven, refuted and undecided shares of each claim."""
+    """Print the proven, refuted and undecided fractions of each claim's region."""
     from safety_harness.claims.properties.tally import table
     from safety_harness.extensions.lab.proof.certificate import outward
 
@@ -100,7 +113,7 @@ def _print_shares(proved: ProofResult) -> None:
 
 
 def _print_bounds(proved: ProofResult) -> None:
-    """Print bounds on wrong answers, if the plan has a distribution of questions."""
+    """Print bounds on the probability of wrong answers, if the plan has a distribution of inputs."""
     from safety_harness.claims.properties.tally import table
 
     if proved.plan.questions is None:
@@ -117,7 +130,7 @@ def _print_bounds(proved: ProofResult) -> None:
 
 
 def _decisions(file: Path, text: str, out: Path) -> int:
-    """Certify the decisions of a trace, and write a copy of the trace with the certificates."""
+    """Certify the decisions in a trace, and write a copy of the trace that contains the certificates."""
     import hashlib
     from dataclasses import replace
 

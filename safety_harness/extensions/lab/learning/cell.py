@@ -28,7 +28,11 @@ class TrainingCell:
 
     @property
     def arm(self) -> str:
-        """The arm's name on cards: its label in this package, or the name in the URDF of a user's arm."""
+        """The arm's name on model cards.
+
+        For an arm of this package, the name is its label.  For a user's own arm, it is the name in the URDF
+        file.
+        """
         return arm_model(self.robot).name if isinstance(self.robot, OwnRobot) else self.robot.label
 
 
@@ -39,13 +43,13 @@ def training_cell(scenario: str | None) -> TrainingCell:
     """Return the training cell that a scenario describes.
 
     The network learns from TCPs in the box of seen TCPs, so the arm must reach them in the desired
-    orientation.  The function tests the corners of the box and 200 random TCPs within it.
+    orientation.  The function checks this for the corners of the box and for 200 random TCPs within the box.
 
     Args:
         scenario: ``shipped:NAME`` or a file; None means the UR10's cell.
 
     Raises:
-        DatasetError: The arm does not reach one of these TCPs.
+        DatasetError: The arm cannot reach at least one of these TCPs.
 
     """
     if scenario is None:

@@ -1,7 +1,7 @@
-"""The state of a training after an epoch, as one file: safetensors with a JSON text, never a pickle.
+"""Save the state of a training after an epoch as one file, in the safetensors format with a JSON text.
 
-Loading returns the saved numbers bit for bit.  The file needs no state of a random generator, because every
-epoch draws from its own generator, a leaf of the training's seed.
+Loading returns bit-identical numbers and never unpickles data.  The file does not contain the state of a
+random generator, because each epoch uses its own generator, which derives from the training's seed.
 """
 
 from __future__ import annotations
@@ -32,10 +32,13 @@ Tensors = Mapping[str, NDArray[np.float32]]
 
 @dataclass(frozen=True, kw_only=True)
 class Epoch:
-    """One epoch of one member, both counted from 0, with mean losses in the network's unit.
+    """The losses after one epoch of one ensemble member.
 
-    ``training_loss`` is the mean loss of the epoch's batches.  ``validation_loss`` is the loss of the mean
-    over the passes, after the epoch.  ``is_best`` marks the member's lowest validation loss so far.
+    The numbers of epochs and members begin at 0.  Losses are means, in the unit of the network's output.
+
+    ``training_loss`` is the mean of the losses of the epoch's batches.  ``validation_loss`` is the loss on
+    the validation samples after the epoch.  A network with dropout is validated by the mean output of its
+    passes.  ``is_best`` is True if this is the member's lowest validation loss so far.
     """
 
     member: int
@@ -48,7 +51,7 @@ class Epoch:
 
 @dataclass(frozen=True)
 class _History:
-    """The epochs in a checkpoint, of which there is at least one."""
+    """The epochs in a checkpoint; a valid checkpoint contains at least one epoch."""
 
     history: Annotated[tuple[Epoch, ...], Meta(min_length=1)]
 
@@ -57,8 +60,8 @@ class _History:
 class Checkpoint:
     """The state of a training, saved after the last epoch in ``history``.
 
-    ``data`` is a hash of the training data.  ``best`` holds the best weights so far of every member that has
-    begun.  ``weights`` and ``optimiser`` are the state of the last of these members.
+    ``data`` is a hash of the training data.  ``best`` contains the best weights so far of every member whose
+    training has begun.  ``weights`` and ``optimiser`` are the current state of the last of these members.
     """
 
     recipe: Recipe
@@ -71,7 +74,9 @@ class Checkpoint:
 
 
 def begin_or_resume(path: Path, recipe: Recipe, seed: int, data: str, *, resume: bool) -> Checkpoint | None:
-    """Return the checkpoint from which to continue; or create the folder, and return None to begin.
+    """Return the checkpoint from which a training continues, or None if the training begins anew.
+
+    If the training begins anew, the function creates the folder.
 
     Args:
         path: The checkpoint's file.
@@ -81,7 +86,7 @@ def begin_or_resume(path: Path, recipe: Recipe, seed: int, data: str, *, resume:
         resume: Whether to continue from an existing checkpoint.
 
     Raises:
-        OutputError: The folder cannot be created, or it holds a training although ``resume`` is False.
+        OutputError: The folder cannot be created, or it contains a checkpoint although ``resume`` is False.
         ModelError: The checkpoint belongs to another training, or is damaged.
 
     """
@@ -100,7 +105,7 @@ def begin_or_resume(path: Path, recipe: Recipe, seed: int, data: str, *, resume:
 
 
 def save_checkpoint(checkpoint: Checkpoint, path: Path) -> None:
-    """Write the checkpoint to ``path``, whole or not at all; raise OutputError if that fails."""
+    """Write the checkpoint to ``path`` atomically, and raise OutputError if that fails."""
     groups = {"weights": checkpoint.weights, "optimiser": checkpoint.optimiser}
     groups |= {f"best {member}": tensors for member, tensors in enumerate(checkpoint.best)}
     text = {
@@ -117,7 +122,7 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path) -> None:
 
 
 def load_checkpoint(path: Path, recipe: Recipe, seed: int, data: str) -> Checkpoint:
-    """Return the checkpoint in ``path``, if it belongs to this training.
+    """Return the checkpoint in ``path`` after a check that it belongs to this training.
 
     Args:
         path: The checkpoint's file.
@@ -155,12 +160,12 @@ def load_checkpoint(path: Path, recipe: Recipe, seed: int, data: str) -> Checkpo
 
 
 def _identity(recipe: Recipe, seed: int, data: str) -> dict[str, Any]:
-    """Return the values that must agree before a training continues, in the form that JSON returns."""
+    """Return the values in which a checkpoint and a training must agree, as JSON-compatible data."""
     return {"recipe": plain(recipe), "seed": seed, "data": data}
 
 
 def _difference(expected: object, got: object) -> tuple[str, str]:
-    """Return both values as text; for two recipes, return only the fields that differ."""
+    """Return both values as text. If both are recipes, the texts contain only the fields that differ."""
     if isinstance(expected, dict) and isinstance(got, dict):
         keys = [key for key in expected if expected[key] != got.get(key)]
         return str({key: expected[key] for key in keys}), str({key: got.get(key) for key in keys})
@@ -168,7 +173,7 @@ def _difference(expected: object, got: object) -> tuple[str, str]:
 
 
 def _group(arrays: Tensors, group: str) -> dict[str, NDArray[np.float32]]:
-    """Return the arrays of a group, by names without the group's prefix."""
+    """Return the arrays of a group as a dictionary; its keys are the names without the group's prefix."""
     prefix = group + "/"
     return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
 

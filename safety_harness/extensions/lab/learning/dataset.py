@@ -1,16 +1,17 @@
-"""The data set of eq. 13 (section 4.1 of the paper), in a compact form.
+"""Generate the data set of eq. 13 (section 4.1 of the paper) in a compact form.
 
-10,000 TCPs times 500 hands make 5,000,000 samples.  The selected candidate depends only on the TCP, and the
-hand only shifts the target.  So 10,000 selections and 500 hands determine every sample.  Sample k joins TCP
-k // hands with hand k mod hands, and the program computes its row on demand.
+A data set of 10,000 TCPs and 500 hands has 5,000,000 samples, one for each pair. The selected candidate
+depends only on the TCP, and the hand only shifts the target. Therefore, 10,000 selected candidates and 500
+hands are sufficient to compute every sample. Sample k combines TCP k // hands with hand k mod hands. The
+program computes the row of a sample on demand.
 
 TCPs and hands lie in the seen space or in one of three unseen spaces (Table 3).  ``space.regions`` defines
 these regions and gives the reasons.
 
 Training, validation and test contain 0.8, 0.1 and 0.1 of the samples.  The paper splits the samples at
-random.  Then every TCP, with the noise of its label, occurs in all three parts, so a network may remember
-labels of the test.  A split by TCP has no such leak.  In both splits, all parts have the same hands, which
-only shift the target in a known way.
+random.  Each TCP, and the noise of its label, then occurs in all three parts, so a network may memorise
+labels of the test part.  A split by TCP avoids this leak.  In both kinds of splits, all three parts contain
+the same hands.  This is harmless, because a hand only shifts the target by a known vector.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ Vectors = NDArray[np.float64]  # (..., 3)
 
 @dataclass(frozen=True)
 class Space:
-    """The region of the TCPs in a data set and, independent of it, the region of the hands."""
+    """The regions of the TCPs and of the hands in a data set; the hands do not depend on the TCPs."""
 
     name: str
     tcp: Region
@@ -68,7 +69,10 @@ def space_named(name: str, settings: Settings) -> Space:
 
 
 def seen(settings: Settings) -> Space:
-    """Return the space of training: TCPs about the desired position, and hands about the nominal position."""
+    """Return the space for training.
+
+    Its TCPs lie around the desired position, and its hands lie around the nominal hand position.
+    """
     return space_named("seen", settings)
 
 
@@ -76,12 +80,17 @@ Index = NDArray[np.integer]
 Numbers = NDArray[np.int64]
 
 VIEWS_AT_A_TIME = 100_000  # bounds the memory; the result does not depend on it
+# TCPs that use the same random candidates in the floor, so that fewer candidates are drawn.
 TCPS_A_REDRAW = 32
+# A choice: far above the paper's 10,000 TCPs, 100 candidates and 500 hands.  A larger number is a mistake.
 MOST = {"tcps": 10_000_000, "candidates": 100_000, "hands": 10_000_000}
 
 
 class Stream(IntEnum):
-    """The random streams below a data set's seed; never reuse a number, because it is part of the format."""
+    """The random streams that derive from a data set's seed.
+
+    The numbers are part of the file format, so never reuse the number of a removed stream.
+    """
 
     TCPS = 1
     HANDS = 2
@@ -91,12 +100,12 @@ class Stream(IntEnum):
 
 
 def stream(seed: int, name: Stream, *path: int) -> np.random.Generator:
-    """Return a fresh generator for a stream below ``seed``.
+    """Return a new random generator for a stream that derives from ``seed``.
 
     Args:
         seed: The root.
         name: The stream.
-        path: Further numbers below the stream.
+        path: Further numbers that select a substream of the stream.
 
     """
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(name, *path))))
@@ -104,12 +113,14 @@ def stream(seed: int, name: Stream, *path: int) -> np.random.Generator:
 
 @dataclass(frozen=True, eq=False)
 class CompactDataset:
-    """TCPs with their selected candidates, and hands: read-only positions in the base frame [m].
+    """The TCPs of a data set with their selected candidates, and the hands.
 
-    ``selected_in_base`` is t_opt of eq. 13, the candidate with the least image error.  ``optimum_in_base`` is
-    the point of the whole cap that is nearest to the desired position; it has no noise.
-    ``candidates_in_view`` counts the candidates of each TCP that see the whole object.  ``arm`` is the name
-    of the cell's arm.
+    All positions are in the base frame [m], and the arrays are read-only.
+
+    ``selected_in_base`` is t_opt of eq. 13, that is, the candidate with the least image error.
+    ``optimum_in_base`` is the noise-free counterpart: the point on the cap of all possible candidates that is
+    nearest to the desired position.  ``candidates_in_view`` is the number of candidates of each TCP from
+    which the camera sees the whole object.  ``arm`` is the name of the cell's arm.
     """
 
     settings: Settings
@@ -148,25 +159,31 @@ class CompactDataset:
 
     @property
     def views_without_object(self) -> int:
-        """The number of candidates, over all TCPs, that do not see the whole object."""
+        """The total number of candidates from which the camera does not see the whole object."""
         return self.tcps * self.candidates - int(self.candidates_in_view.sum())
 
     @property
     def tcps_without_view(self) -> int:
-        """The number of TCPs without any candidate that sees the whole object."""
+        """The number of TCPs without a candidate from which the camera sees the whole object."""
         return int(np.count_nonzero(self.candidates_in_view == 0))
 
     def without_noise(self) -> CompactDataset:
-        """Return the same samples with the optimum as t_opt, so that a network learns exact labels."""
+        """Return the same data set with the optimum as t_opt, so that its labels have no noise."""
         return replace(self, selected_in_base=self.optimum_in_base)
 
     def inputs(self, index: Index) -> Vectors:
-        """Return the inputs (len, 6), hand and then TCP, of the samples numbered ``index``."""
+        """Return the inputs of the samples whose numbers are in ``index``, shape (len, 6).
+
+        A row contains the position of the hand, followed by the position of the TCP.
+        """
         tcp, hand = self._pairs(index)
         return np.concatenate([self.hand_in_base[hand], self.tcp_in_base[tcp]], axis=1)
 
     def targets(self, index: Index) -> Vectors:
-        """Return gt = 0.05 (t_tcp - t_h) + t_opt (eq. 13), (len, 3), of the samples numbered ``index``."""
+        """Return the targets of the samples whose numbers are in ``index``, shape (len, 3).
+
+        The target is gt = 0.05 (t_tcp - t_h) + t_opt (eq. 13).
+        """
         tcp, hand = self._pairs(index)
         pull = self.settings.avoidance.hand_pull
         by_tcp: Vectors = self.selected_in_base + pull * self.tcp_in_base
@@ -174,7 +191,10 @@ class CompactDataset:
         return rows
 
     def _pairs(self, index: Index) -> tuple[Index, Index]:
-        """Return the number of TCP and hand for each sample; raise IndexError for a number out of range."""
+        """Return the TCP's number and the hand's number for each sample.
+
+        Raise IndexError if the number of a sample is out of range.
+        """
         if len(index) and not (index.min() >= 0 and index.max() < len(self)):
             raise IndexError(f"samples are numbered 0 to {len(self) - 1}")
         tcp, hand = np.divmod(index, self.hands)
@@ -192,11 +212,12 @@ def generate(
     arm: str = Robot.UR10.label,
     on_progress: Callable[[int], object] | None = None,
 ) -> CompactDataset:
-    """Draw TCPs, candidates and hands, and select each TCP's candidate by the least |f - f*|^2 (eq. 15).
+    """Draw TCPs, candidates and hands, and select each TCP's candidate with the least |f - f*|^2 (eq. 15).
 
-    The features f come from the exact image.  A candidate that does not see the whole object is selected only
-    if no candidate of its TCP sees it.  In that case ``candidates_in_view`` is 0.  The exact image has no
-    border, so its moments are defined even then.
+    The features f come from the exact image.  If the camera sees the whole object from some candidates of a
+    TCP, the function selects among these candidates.  If there is no such candidate, it selects among all
+    candidates of the TCP, and ``candidates_in_view`` is 0.  Even then the image moments exist, because the
+    exact image has no border.
 
     Args:
         settings: The settings of the cell.
@@ -206,13 +227,13 @@ def generate(
         candidates: The number of candidates for each TCP.
         hands: The number of hands.
         arm: The arm's name.
-        on_progress: Receives the number of finished TCPs.
+        on_progress: A function that receives the number of finished TCPs.
 
     Returns:
         The data set.
 
     Raises:
-        DatasetError: A number is out of range, or all candidates of a TCP lack an image of the object.
+        DatasetError: A number is out of range, or no candidate of some TCP has an image of the object.
 
     """
     for name, number in (("tcps", tcps), ("candidates", candidates), ("hands", hands)):
@@ -250,7 +271,7 @@ def generate(
 def fresh_pairs(
     settings: Settings, space: Space, *, seed: int, samples: int, candidates: int
 ) -> tuple[CompactDataset, Numbers]:
-    """Return a new data set, and the numbers of ``samples`` rows that share no TCP and no hand.
+    """Return a new data set, and the numbers of rows that contain each TCP and each hand only once.
 
     Args:
         settings: The settings of the cell.
@@ -265,12 +286,12 @@ def fresh_pairs(
 
 
 def seed_below(seed: int, *path: int) -> int:
-    """Return the 64-bit seed at ``path`` below ``seed``, for a consumer with its own generators."""
+    """Return a 64-bit seed that derives from ``seed`` and ``path``, for code with its own generators."""
     return int(np.random.SeedSequence(seed, spawn_key=path).generate_state(1, np.uint64)[0])
 
 
 def candidates_of(settings: Settings, tcp_in_base: Vectors, seed: int, numbers: Index) -> Vectors:
-    """Return the candidate positions (k, candidates, 3) [m] of k TCPs: each TCP plus random offsets.
+    """Return the candidates of k TCPs, that is, each TCP plus random offsets, shape (k, candidates, 3) [m].
 
     Args:
         settings: The settings of the cell.
@@ -279,6 +300,7 @@ def candidates_of(settings: Settings, tcp_in_base: Vectors, seed: int, numbers: 
         numbers: (k,) the numbers of the TCPs.
 
     """
+    # A stream for each TCP, so that its candidates do not depend on the batches.
     generators = [stream(seed, Stream.CANDIDATES, int(number)) for number in numbers]
     positions: Vectors = draw_many(CandidateCap.from_settings(settings), generators)
     positions += tcp_in_base[numbers, None]
@@ -287,7 +309,10 @@ def candidates_of(settings: Settings, tcp_in_base: Vectors, seed: int, numbers: 
 
 @dataclass(frozen=True, eq=False)
 class LabelFloor:
-    """The least error by axis [m] that any regressor has on new TCPs, because the candidates are random."""
+    """The least possible errors of a regressor on new TCPs, for each axis [m].
+
+    The errors cannot be zero, because the candidates are random.
+    """
 
     rmse_m: Vector  # (3,)
     mae_m: Vector  # (3,)
@@ -295,27 +320,29 @@ class LabelFloor:
 
 
 def label_floor(settings: Settings, tcp_in_base: Vectors, *, seed: int, redraws: int = 1000) -> LabelFloor:
-    """Return the least RMSE and MAE of any regressor against labels that are selected from fresh candidates.
+    """Return the least RMSE and the least MAE of any regressor against labels with random candidates.
 
         RMSE = sqrt(mean_TCP Var(label | TCP)),   MAE = mean_TCP E|label - median(label | TCP)|, by axis.
 
     A regressor knows the TCP but not the drawn candidates.  Its RMSE is least if it predicts the mean label
-    of each TCP.  Its MAE is least if it predicts the median label.  So the floor of the RMSE is the root of
-    the mean variance.  The floor of the MAE is the mean distance from the median.  One regressor does not
-    reach both floors.  A TCP from the training cannot test them, because the network may remember its label.
+    of each TCP.  Its MAE is least if it predicts the median label.  The least RMSE is therefore the root of
+    the mean variance, and the least MAE is the mean distance from the median.  In general, a single regressor
+    cannot reach both.  These limits do not apply to TCPs of the training data, because a network may memorise
+    their labels.
 
-    Each label is the candidate nearest to the desired position, which has the least image error for upright
-    views.  The hand shifts a label by a known vector, so the floors do not depend on the hand.  Groups of 32
-    TCPs share the redrawn candidates, which does not change the distribution of each TCP's labels.
+    The label is the candidate that is nearest to the desired position.  For upright views, this candidate
+    also has the least image error.  The hand shifts a label by a known vector, so the result does not depend
+    on the hand.  Each group of 32 TCPs uses the same random candidates.  This does not change the
+    distribution of the labels of a single TCP.
 
     Args:
         settings: The settings of the cell.
         tcp_in_base: (n, 3) the TCPs.
         seed: The root of all random numbers.
-        redraws: The number of labels for each TCP.
+        redraws: The number of random labels for each TCP.
 
     Raises:
-        DatasetError: There is no TCP, or fewer than 2 redraws.
+        DatasetError: There is no TCP, or ``redraws`` is below 2.
 
     """
     if redraws < 2 or len(tcp_in_base) == 0:
@@ -332,6 +359,7 @@ def label_floor(settings: Settings, tcp_in_base: Vectors, *, seed: int, redraws:
         group = slice(start, start + TCPS_A_REDRAW)
         labels = np.empty((len(wanted[group]), redraws, 3))
         _furthest_along(draw_many(cap, [rng] * redraws), wanted[group], labels)
+        # The unbiased variance: the mean of the labels is estimated from the same labels.
         variances[group] = labels.var(axis=1, ddof=1)
         deviations[group] = np.abs(labels - np.median(labels, axis=1, keepdims=True)).mean(axis=1)
     return LabelFloor(np.sqrt(variances.mean(axis=0)), deviations.mean(axis=0), redraws)
@@ -343,10 +371,12 @@ def _furthest_along(
     wanted: NDArray[np.float64],  # (n, 3)
     best_out: NDArray[np.float64],  # (n, sets, 3)
 ) -> None:
-    """Fill ``best_out`` with the offset o of each set that leads furthest along each vector w of ``wanted``.
+    """For each vector w in ``wanted``, find the offset o with the largest o . w in each set.
 
-    All o have the same length, and |o - w|^2 = |o|^2 + |w|^2 - 2 o . w.  So the same o also ends nearest to
-    the end of w.
+    The function writes the offsets to ``best_out``.
+
+    This is also the offset nearest to w, because |o - w|^2 = |o|^2 + |w|^2 - 2 o . w and all offsets have the
+    same length.
     """
     sets, candidates, _ = offsets.shape
     for k in range(wanted.shape[0]):
@@ -366,7 +396,7 @@ HELD_OUT = 0.1  # the share for validation, and for testing
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """The numbers of the samples in each part, read-only; every sample is in exactly one part."""
+    """The numbers of the samples in each part, as read-only arrays; every sample is in exactly one part."""
 
     kind: str
     train: Numbers
@@ -379,7 +409,7 @@ class Split:
 
 
 def split_by_sample(dataset: CompactDataset, *, seed: int) -> Split:
-    """Return the paper's split of the samples at random; each part is in random order.
+    """Return a random split of the samples, as in the paper; the samples of a part are in random order.
 
     Args:
         dataset: The data set.

@@ -1,12 +1,12 @@
-"""The quality of a model: its errors, its intervals and its doubt, on sets of independent decisions.
+"""Measure the errors, intervals and spreads of a model on sets of independent inputs.
 
 Each TCP occurs in only one row of a set, because two samples of a TCP would share the noise of its label.
-So the rows are independent trials, and shares of rows have exact intervals.
+The rows are therefore independent trials, so a fraction of rows has an exact confidence interval.
 
-The draws of an evaluation never coincide with those of a training or a calibration.  The streams of a data
-set are leaves of its own seed.  A training uses the seed that its user gave.  A calibration derives seeds
-from that seed with the spawn key (7, k).  An evaluation derives 64-bit seeds from its own seed with the spawn
-key (8, k).
+The draws of an evaluation never coincide with those of a training or a calibration.  The random streams of a
+data set derive from its own seed.  A training uses the user's seed.  A calibration derives seeds from the
+training's seed with the spawn key (7, k).  An evaluation derives 64-bit seeds from its own seed with the
+spawn key (8, k).
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ from safety_harness.scenario.robots import AnyRobot, Robot
 
 Floats = NDArray[np.float64]
 
-BRANCH = 8
+BRANCH = 8  # another branch of the seed than the calibration's, so that the draws differ
 _DECISIONS, _CHOICE = 0, 1  # last keys after the branch and a set's number: decisions' seeds, choice of rows
 FLOOR_TCPS = 10_000  # the floor uses at most so many TCPs of a set, the first ones, which takes 7 s
 SEEN_NAME, TEST_NAME = "seen, new TCPs", "seen, test part"
@@ -66,12 +66,12 @@ MOST_VIEWS = 20_000_000
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class EvaluationSet:
-    """Questions with their labels, as rows (n, 3) in the base frame [m].
+    """A set of inputs with their labels; positions have the shape (n, 3), in the base frame [m].
 
-    ``labels_in_base`` are the labels of eq. 13.  ``noise_free_in_base`` are the labels with the continuous
-    optimum instead of the selected candidate.  ``floor`` is the least error that any regressor has on this
-    set because of the labels' noise.  It comes from 1,000 redraws for each TCP.  It is None for unseen sets,
-    where errors have other causes.
+    ``labels_in_base`` are the labels of eq. 13.  ``noise_free_in_base`` are the same labels, computed with
+    the continuous optimum instead of the selected candidate.  ``floor`` is the least error that a regressor
+    can have on this set because of the labels' noise, estimated with 1,000 random labels for each TCP.
+    ``floor`` is None for unseen sets, on which errors have other causes.
     """
 
     name: str
@@ -105,7 +105,10 @@ class DataCard:
 
     @classmethod
     def from_card(cls, card: Mapping[str, Any]) -> DataCard | None:
-        """Return the origin of the data that ``card`` states; None if it states no data in the seen space."""
+        """Return the origin of the data according to ``card``.
+
+        The result is None if the card states no data in the seen space.
+        """
         data = card.get("data")
         try:
             return (
@@ -116,7 +119,7 @@ class DataCard:
 
 
 def leaf(seed: int, *path: int) -> int:
-    """Return a 64-bit seed below ``seed``, at ``path`` on the evaluation's own branch."""
+    """Return a 64-bit seed for evaluations, which derives from ``seed`` and ``path``."""
     return seed_below(seed, BRANCH, *path)
 
 
@@ -128,14 +131,14 @@ def fresh_sets(
     candidates: int,
     on_set: Callable[[str], object] = lambda name: None,
 ) -> list[EvaluationSet]:
-    """Return sets of new TCPs and hands, in the seen space and in the three unseen spaces.
+    """Return four sets of new TCPs and hands, one for the seen space and one for each unseen space.
 
     Args:
         settings: The settings of the cell.
         samples: The number of rows in each set.
         seed: The root of all random numbers.
         candidates: The number of candidates for each TCP.
-        on_set: Receives the name of each set before its draw.
+        on_set: A function that receives the name of each set before the set is drawn.
 
     """
     sets = []
@@ -155,16 +158,18 @@ def fresh_sets(
 def test_part(
     settings: Settings, card: DataCard, *, samples: int, seed: int
 ) -> tuple[EvaluationSet | None, str]:
-    """Return the test part of a model's training data, generated again; or return None and the reason.
+    """Generate the training data of a model again, and return its test part.
 
-    The part has at most one row for each TCP.  After a random split of samples, the training has seen every
-    TCP.  Then the network may remember the noise of a label, and errors look smaller than on new TCPs.
+    If this is impossible, return None and the reason.
+
+    The part has at most one row for each TCP.  If the split was by sample, the training has seen every TCP.
+    The network may then have memorised the noise of a label, so its errors look smaller than on new TCPs.
 
     Args:
         settings: The settings of the cell.
         card: The origin of the data, from the model's card.
         samples: The largest number of rows.
-        seed: The root of the choice of rows.
+        seed: The root of the random numbers that select the rows.
 
     """
     if not (card.tcps >= 10 and 0 < card.tcps * card.candidates <= MOST_VIEWS and card.hands > 0):
@@ -175,6 +180,7 @@ def test_part(
     if not is_named_by(dataset, card.sha256):
         return None, "the card's numbers give other training data (another hash)"
     test = SPLITS[card.split](dataset, seed=card.seed).test
+    # ``np.unique`` returns the first row of each TCP, so the shuffle before it chooses among a TCP's hands.
     rng = np.random.default_rng(leaf(seed, 0, _CHOICE))
     shuffled = rng.permutation(test)
     _, first = np.unique(shuffled // card.hands, return_index=True)
@@ -195,7 +201,10 @@ def _set(
     seed: int,
     number: int,
 ) -> EvaluationSet:
-    """Return an evaluation set with the ``rows`` of a data set; only a seen set has a floor."""
+    """Return an evaluation set with the given rows of a data set.
+
+    Only a set in the seen space has a floor.
+    """
     inputs = dataset.inputs(rows)
     rng = np.random.default_rng(leaf(seed, number, _DECISIONS))
     return EvaluationSet(
@@ -213,18 +222,19 @@ def _set(
     )
 
 
+# The levels of the calibration curve; a choice.
 LEVELS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
-PAPER_PRECISION_PER_MM2 = 1e-6
+PAPER_PRECISION_PER_MM2 = 1e-6  # tau in the paper, for a model whose card states none
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CalibratedIntervals:
     """The quality of the calibrated intervals and of the spread's threshold on one set.
 
-    ``covered`` is the share of rows whose label lies within its interval on all three axes.
-    ``above_threshold`` is the share of rows whose largest spread exceeds the threshold, so that the gate
-    falls back.  On a seen set these rows are false alarms; on an unseen set they are detections.  The share
-    is None for a model without a spread.
+    ``covered`` is the fraction of rows whose label lies within its interval on all three axes.
+    ``above_threshold`` is the fraction of rows whose largest spread exceeds the threshold, so that the gate
+    would use its fallback.  In a seen set such a row is a false alarm, and in an unseen set it is a correct
+    detection.  ``above_threshold`` is None for a model without a spread.
     """
 
     covered: Proportion
@@ -234,12 +244,13 @@ class CalibratedIntervals:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Figures:
-    """The figures of one model on one set; lengths in metres.
+    """The results of one model on one set, with lengths in metres.
 
-    ``errors`` compares the answers with the labels of the training's target.  ``noise_free`` compares them
-    with eq. 13 at the continuous optimum.  ``curves`` has an array (levels, 3) for each scale: the share of
-    labels within the central interval of each level in ``LEVELS``.  ``auroc`` rates how well the largest
-    spread distinguishes this set from the seen set.  It is None on a seen set, or without a spread.
+    ``errors`` compares the answers with labels of the same kind as in the model's training.  ``noise_free``
+    compares the answers with the labels of eq. 13 at the continuous optimum.  ``curves`` has an array of
+    shape (levels, 3) for each interval scale, with the fraction of labels within the central interval of each
+    level in ``LEVELS``.  ``auroc`` measures how well the largest spread distinguishes this set from the seen
+    set.  ``auroc`` is None for a seen set, and for a model without a spread.
     """
 
     model: str
@@ -260,7 +271,7 @@ def has_spread(model: Model) -> bool:
 
 
 def learns_noise_free(model: Model) -> bool:
-    """Return whether the card of ``model`` names the continuous optimum as the training's target."""
+    """Return True if the training of ``model`` had the continuous optimum as its target."""
     return _recipe(model).get("target") == "continuous"
 
 
@@ -278,9 +289,10 @@ def evaluate_model(
     Args:
         label: The model's name in tables.
         model: The model.
-        sets: The sets; the first is the seen set, from which the AUROC distinguishes the unseen sets.
+        sets: The sets, beginning with the seen set.  The AUROC of each unseen set is relative to this first
+            set.
         settings: The settings of the cell.
-        place: The place that an error names.
+        place: The place for error messages.
         robot: The arm.
 
     Raises:
@@ -301,6 +313,7 @@ def evaluate_model(
                 got=f"{positions[bad[0]].tolist()} for hand {hand} and TCP {tcp}",
             )
         largest = largest_spread(spreads)
+        # The first set is the seen set, to which the AUROC of each unseen set refers.
         if seen_spread is None:
             seen_spread = largest
         is_unseen = not rows.seen and has_spread(model)
@@ -323,18 +336,23 @@ def evaluate_model(
 
 
 def _recipe(model: Model) -> Mapping[str, Any]:
-    """Return the recipe in the card of ``model``; empty if the card has none."""
+    """Return the recipe in the card of ``model``, or an empty mapping if the card has no recipe."""
     recipe = model.card.get("recipe")
     return recipe if isinstance(recipe, dict) else {}
 
 
 def _residual_std(model: Model) -> Floats | None:
-    """Return the residuals' standard deviations (3,) [m] by axis; None without a calibration."""
+    """Return the residuals' standard deviation for each axis, shape (3,) [m].
+
+    The result is None for a model without a calibration.
+    """
     return None if model.calibration is None else np.array(model.calibration.residual_std_m)
 
 
 def _picp(model: Model, positions: Floats, labels: Floats, spreads: Floats) -> dict[str, IntervalCoverage]:
-    """Return the coverage for each reading of the paper's PICP; one reading needs a calibration.
+    """Return the coverage for each interpretation of the paper's PICP.
+
+    A model without a calibration lacks the interpretation that uses residuals.
 
     ``positions``, ``labels`` and ``spreads`` are (n, 3) [m].
     """
@@ -347,7 +365,10 @@ def _picp(model: Model, positions: Floats, labels: Floats, spreads: Floats) -> d
 
 
 def _curves(model: Model, positions: Floats, labels: Floats, spreads: Floats) -> dict[str, Floats]:
-    """Return a calibration curve for each scale; ``positions``, ``labels``, ``spreads`` are (n, 3) [m]."""
+    """Return a calibration curve for each interval scale.
+
+    ``positions``, ``labels`` and ``spreads`` have the shape (n, 3) [m].
+    """
     levels, residual_std = np.array(LEVELS), _residual_std(model)
     curves = {"spread": calibration_curve(positions, labels, spreads, levels)}
     if residual_std is not None:
@@ -359,7 +380,10 @@ def _curves(model: Model, positions: Floats, labels: Floats, spreads: Floats) ->
 def _intervals(
     model: Model, positions: Floats, labels: Floats, spreads: Floats
 ) -> CalibratedIntervals | None:
-    """Return the quality of the calibrated intervals on (n, 3) [m] arrays; None without a calibration."""
+    """Return the quality of the calibrated intervals, or None for a model without a calibration.
+
+    All arrays have the shape (n, 3) [m].
+    """
     calibration = model.calibration
     if calibration is None:
         return None

@@ -1,4 +1,4 @@
-"""The comparison of trained models on the same draws: all their figures, and the file of the figures."""
+"""Compare trained models on the same random inputs, and write all results to a JSON file."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ SAME_PLACE_M = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class LoadedModel:
-    """A model with its label in tables and the hash of its file."""
+    """A model, its label in tables, and the path and the hash of its file."""
 
     path: Path
     label: str
@@ -51,16 +51,16 @@ class LoadedModel:
 
     @property
     def candidates(self) -> int:
-        """The number of candidates per TCP in its training data, which decides the noise of the labels."""
+        """The number of candidates per TCP in the training data, which determines the noise of the labels."""
         card = DataCard.from_card(self.model.card)
         return card.candidates if card and card.candidates else DEFAULTS.avoidance.candidate_count
 
 
 def load_models(models: Sequence[str | Path], settings: Settings = DEFAULTS) -> list[LoadedModel]:
-    """Return the models from files, or shipped models by name.
+    """Load models from files, or shipped models by their names.
 
     Args:
-        models: The files or names.
+        models: The paths of files, or the names of shipped models.
         settings: The settings of the cell.
 
     Raises:
@@ -102,13 +102,13 @@ def figures_of(
     say: Callable[[str], None],
     cell: TrainingCell = UR10_CELL,
 ) -> tuple[list[Figures], list[str]]:
-    """Return the figures of every model on every set, and remarks on missing figures.
+    """Return the results of every model on every set, and remarks on missing results.
 
     Args:
         loaded: The models.
         samples: The number of rows in each set.
         seed: The root of all random numbers.
-        say: Receives lines about the progress.
+        say: A function that receives lines of text about the progress.
         cell: The cell of the models.
 
     Raises:
@@ -156,7 +156,7 @@ def figures_of(
 def evaluation_data(
     loaded: list[LoadedModel], figures: list[Figures], remarks: list[str], samples: int, seed: int
 ) -> dict[str, Any]:
-    """Return all figures, in metres, for JSON.
+    """Return all results as data for JSON, with lengths in metres.
 
     Args:
         loaded: The models.
@@ -195,7 +195,7 @@ def write_evaluation(out: Path, data: dict[str, Any]) -> None:
 
 
 def _json_of(figures: Figures) -> dict[str, Any]:
-    """Return the figures of one set as JSON."""
+    """Return the results of one model on one set as data for JSON."""
     rows, intervals = figures.set, figures.intervals
     return {
         "set": rows.name,
@@ -220,10 +220,10 @@ def _json_of(figures: Figures) -> dict[str, Any]:
 
 
 def _coverage(coverage: IntervalCoverage) -> dict[str, Any]:
-    """Return a coverage as JSON."""
+    """Return a coverage as data for JSON."""
     return {"picp": coverage.picp, "joint": coverage.joint, "mean_width_m": coverage.mean_width}
 
 
 def _proportion(proportion: Proportion) -> dict[str, Any]:
-    """Return a proportion as JSON, with its share."""
+    """Return a proportion as data for JSON, including the value of the fraction."""
     return asdict(proportion) | {"share": proportion.share}

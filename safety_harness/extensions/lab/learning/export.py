@@ -1,8 +1,10 @@
-"""The export of a trained model to an ONNX file: one function from metres to metres, for other programs.
+"""Export a trained model to an ONNX file for other programs.
 
-The function contains the normalisation, all passes or members, and the formulas of their mean and standard
-deviation.  Inputs and outputs are float64 (n, 3); between them, the network computes in float32, as in this
-package.  If the model has dropout, the masks are an input.  So the caller chooses them, and can use ours.
+The file contains one function, whose inputs and outputs are in metres.  The function includes the
+normalisation, all passes or members, and the formulas for their mean and standard deviation.  Inputs and
+outputs are float64 and have the shape (n, 3).  The network itself computes in float32, as in this package.
+If the model has dropout, the masks are an input of the function.  The caller can therefore choose the masks,
+for example the masks that this package draws.
 """
 
 from __future__ import annotations
@@ -38,10 +40,11 @@ Function = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]
 
 
 class WholeFunction(nn.Module):
-    """The function from hand and TCP (n, 3) [m] to position and spread (n, 3) [m].
+    """The function from hands and TCPs to positions and spreads, all of shape (n, 3) [m].
 
     A network with dropout also takes masks (n, passes, places, width).  The position is the mean over the
-    passes or members.  The spread is their standard deviation, with their number in the denominator.
+    passes or members.  The spread is their standard deviation, with the number of passes or members in the
+    denominator.
     """
 
     def __init__(self, model: Model) -> None:
@@ -53,7 +56,7 @@ class WholeFunction(nn.Module):
         self.eval()
 
     def forward(self, hand: Tensor, tcp: Tensor, masks: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """Return position and spread (n, 3) [m], float64, for ``hand``, ``tcp`` and ``masks``."""
+        """Return float64 positions and spreads for ``hand``, ``tcp`` and ``masks``, shape (n, 3) each [m]."""
         inputs = torch.cat([hand, tcp], dim=1)
         x = (inputs - self.get_buffer("input_mean")) / self.get_buffer("input_std")
         x = torch.cat([x, torch.ones_like(x[:, :1])], dim=1).float()  # (n, 7)
@@ -82,16 +85,19 @@ def _network(model: Model, member: int) -> Network:
 
 
 def write_export(model: Model, source: bytes, out: Path, *, seed: int) -> float:
-    """Write a model as ONNX after a comparison with the original; after a failure, the old file stays.
+    """Write a model as an ONNX file after a comparison with the original model.
+
+    If the export or the comparison fails, an existing file remains unchanged.
 
     Args:
         model: The model.
         source: The bytes of the model's file.
         out: The file to write.
-        seed: The root of the comparison's questions.
+        seed: The root of the random numbers for the comparison.
 
     Returns:
-        The largest difference [m] from ``LearnedAvoider``, as ``difference`` found it.
+        The largest difference [m] between ``LearnedAvoider`` and the exported function, computed by
+        ``difference``.
 
     Raises:
         ModelError: The difference is above 1e-6 m.
@@ -120,16 +126,18 @@ def write_export(model: Model, source: bytes, out: Path, *, seed: int) -> float:
 
 
 def difference(model: Model, function: Function, *, seed: int) -> float:
-    """Return the largest difference [m] from ``LearnedAvoider`` in any coordinate of a position or spread.
+    """Return the largest difference [m] between the answers of a function and of ``LearnedAvoider``.
 
-    The questions are random hands and TCPs in the model's seen boxes, and as many in boxes 1.5 times as
-    large.  Each question has the masks of its own seed.  In one more question, the hand is NaN.  If the
-    function answers it, the difference is infinite.
+    It is the maximum over all coordinates of positions and spreads.
+
+    Half of the inputs are random hands and TCPs in the model's seen boxes.  The rest lie in boxes that are
+    1.5 times as large.  Each input has its own seed, which determines its masks.  In one additional input,
+    the hand is NaN.  If the function gives a finite answer to this input, the difference is infinite.
 
     Args:
         model: The model.
         function: The function to compare.
-        seed: The root of the questions.
+        seed: The root of the random inputs.
 
     """
     rng = np.random.default_rng(seed)
@@ -143,6 +151,7 @@ def difference(model: Model, function: Function, *, seed: int) -> float:
     masks = None if model.dropout is Dropout.NONE else drawn_masks(model, seeds)
     own = LearnedAvoider.from_model(model).propose_many(hands, tcps, seeds)
     answers = function(hands, tcps, masks)
+    # A runtime must not turn a missing hand into a finite answer.
     no_answer = function(hands[:1] * np.nan, tcps[:1], None if masks is None else masks[:1])
     if np.isfinite(no_answer).any() or any(a.shape != b.shape for a, b in zip(own, answers, strict=True)):
         return float("inf")
@@ -151,13 +160,17 @@ def difference(model: Model, function: Function, *, seed: int) -> float:
 
 
 def _boxes(model: Model) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Yield the centre and half size of the seen hands' box, then those of the TCPs' box."""
+    """Yield the centre and the half size of the box of seen hands, then of the box of seen TCPs."""
     for low, high in map(np.array, model.seen.boxes.values()):
         yield (low + high) / 2, (high - low) / 2
 
 
 def _onnx_bytes(model: Model, metadata: str) -> bytes:
-    """Return one self-contained ONNX file, without the paths of this machine that PyTorch adds."""
+    """Return the bytes of a self-contained ONNX file.
+
+    The function removes the local file paths that PyTorch adds.
+    """
+    # Two rows: PyTorch would treat a single row as a constant size.
     point = torch.zeros((2, 3), dtype=torch.float64)
     question = {HAND: point, TCP: point.clone()}
     if model.dropout is not Dropout.NONE:
@@ -180,6 +193,7 @@ def _onnx_bytes(model: Model, metadata: str) -> bytes:
     for part in (*proto.graph.node, *proto.graph.input, *proto.graph.output):
         part.ClearField("doc_string")
         part.ClearField("metadata_props")
+    # These fields contain the stack traces of the export, with the paths of this machine.
     proto.graph.ClearField("metadata_props")
     proto.ClearField("metadata_props")
     proto.metadata_props.add(key=KEY, value=metadata)
@@ -188,7 +202,7 @@ def _onnx_bytes(model: Model, metadata: str) -> bytes:
 
 
 def load_onnx(path: Path) -> Function:
-    """Return the function of an exported ONNX file, which onnxruntime computes."""
+    """Return a function that evaluates an exported ONNX file with onnxruntime."""
     session = open_session(path, path.read_bytes())  # the file that was just written
 
     def function(

@@ -1,4 +1,4 @@
-"""The image errors |f - f*|^2 (eq. 15) of candidates, for many poses in one compiled call."""
+"""Compute the image errors |f - f*|^2 (eq. 15) of many candidates in one compiled call."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from safety_harness.cell.servoing.features import feature_error, features
 
 
 class ImageErrors(NamedTuple):
-    """The image errors of TCP positions in the desired orientation, and the selection by these errors.
+    """The image errors of TCP positions in the desired orientation, and a selection by these errors.
 
-    ``features`` are the features f* of the view at the desired pose, and ``area`` and ``depth_m`` are its a*
-    and Z*.  ``dense`` tells whether the object is dense or discrete.
+    The features at the desired pose are f* = ``features``, with the area a* = ``area`` and the depth Z* =
+    ``depth_m``.  ``dense`` is True for a dense object and False for a discrete object.
     """
 
     polygon_m: NDArray[np.float64]  # (corners, 2)
@@ -38,7 +38,7 @@ class ImageErrors(NamedTuple):
 
     @classmethod
     def from_settings(cls, settings: Settings) -> ImageErrors:
-        """Return the errors for the cell of ``settings``, with the camera's true mount."""
+        """Return an instance for the cell of ``settings``; the camera has its true mount."""
         camera_to_base, object_to_camera = desired_camera(settings)
         view, camera = view_of(settings), settings.camera
         return cls(
@@ -58,15 +58,16 @@ class ImageErrors(NamedTuple):
     def at(
         self, positions_in_base_m: NDArray[np.float64], *, raster: bool = False
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return errors (...) at ``positions_in_base_m`` (..., 3) and whether (...) each sees all the object.
+        """Return the error at each position, and whether the whole object is in view there, shape (...).
 
         The error is |f - f*|^2 (eq. 15, in metres and radians), where f are the features of the image from
-        that position.  It is +inf without an image of the object.  The exact image has no border: beyond the
-        sensor's border, the error is that of a larger sensor.
+        the position.  The error is +inf if there is no image of the object.  The exact image has no border,
+        so the error exists even if the object is beyond the sensor's border.
 
         Args:
-            positions_in_base_m: TCP positions in the base frame.
-            raster: Sample the image at pixel centres and crop it, like the camera; for dense objects only.
+            positions_in_base_m: (..., 3) TCP positions in the base frame.
+            raster: Whether to sample the image at pixel centres and crop it to the sensor, as the camera
+                does.  This works only for dense objects.
 
         Raises:
             DatasetError: ``raster`` is set for a discrete object.
@@ -87,17 +88,20 @@ class ImageErrors(NamedTuple):
     def select(
         self, positions_in_base_m: NDArray[np.float64], *, raster: bool = False
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the number (n,) of each TCP's selected candidate, and its count (n,) of candidates in view.
+        """Return each TCP's selected candidate and number of candidates in view, shape (n,) each.
 
-        ``positions_in_base_m`` is (n, c, 3).  A candidate is in view if it sees the whole object.  The
-        selected candidate has the least error among those in view, or among all if none is in view.
+        The first array contains the indices of the selected candidates.
+
+        A candidate is in view if the camera sees the whole object from this candidate.  The selected
+        candidate has the least error among the candidates in view.  If no candidate is in view, it has the
+        least error among all candidates.
 
         Args:
-            positions_in_base_m: The c candidates of each of n TCPs, in the base frame.
-            raster: As in ``at``.
+            positions_in_base_m: (n, c, 3) the c candidates of each of n TCPs, in the base frame.
+            raster: The same meaning as in ``at``.
 
         Raises:
-            DatasetError: A TCP has no candidate with an image of the object.
+            DatasetError: For some TCP, no candidate has an image of the object.
 
         """
         errors, in_view = self.at(positions_in_base_m, raster=raster)
@@ -125,12 +129,12 @@ def _image_errors(
 ) -> None:
     """Fill ``errors_out`` and ``in_view_out`` with the two results of ``ImageErrors.at``.
 
-    If the camera shifts, the object moves the opposite way in the camera frame:
+    If the camera moves, the object moves in the opposite direction in the camera frame:
 
         t(p) = t* - R_camera_to_base^T (p - p*)
 
     Here t is the object's position in the camera frame and p is the position of the TCP.  The * marks the
-    desired pose, and R stays the same.
+    desired pose.  The orientation R is the same for all positions.
     """
     corners = sight.polygon_m.shape[0]
     pose = sight.transform_object_to_camera.copy()
@@ -142,6 +146,7 @@ def _image_errors(
             for j in range(3):
                 shift_m = positions_in_base_m[k, j] - sight.desired_position_in_base_m[j]
                 pose[i, 3] -= sight.transform_camera_to_base[j, i] * shift_m
+        # A position without an image keeps these values, and ``argmin`` never selects it.
         errors_out[k] = np.inf
         in_view_out[k] = False
         polygon_in_camera(sight.polygon_m, pose, points)

@@ -1,4 +1,4 @@
-"""Data sets on disk: a folder with plain arrays, and a manifest that states their origin.
+"""Save and load data sets: a folder with plain arrays and with a manifest of their origin.
 
 ``arrays.npz`` holds the compact arrays (never a pickle).  ``manifest.json`` holds every parameter, the seed
 and the versions.  It also holds a sha256 of each array's bytes and of the manifest itself, so that
@@ -44,14 +44,14 @@ DTYPES = {
 
 @dataclass(frozen=True)
 class _StoredArray:
-    """The hash of an array, as the manifest states it."""
+    """The hash of an array according to the manifest."""
 
     sha256: str
 
 
 @dataclass(frozen=True)
 class _Read:
-    """The fields of a manifest that loading needs, with the complete settings."""
+    """The fields of a manifest that are necessary to load a data set, including the complete settings."""
 
     seed: int
     tcps: int
@@ -64,7 +64,10 @@ class _Read:
 
 
 def manifest_of(dataset: CompactDataset) -> dict[str, Any]:
-    """Return the manifest of ``dataset``; its ``sha256`` covers parameters, software and data."""
+    """Return the manifest of ``dataset``.
+
+    Its field ``sha256`` is a hash of the parameters, the software versions and the data.
+    """
     manifest = {
         "format": FORMAT,
         "package_version": installed_version(),
@@ -99,13 +102,20 @@ _WITH_ARITHMETIC_0 = {
 
 
 def is_named_by(dataset: CompactDataset, sha256: str) -> bool:
-    """Return whether ``sha256`` is the ``data_hash`` of ``dataset``, by today's or an earlier arithmetic."""
+    """Return True if ``sha256`` is the ``data_hash`` of ``dataset``.
+
+    For the shipped networks' data, the function also accepts the hash of an earlier version, whose arithmetic
+    rounded differently.
+    """
     digest = data_hash(dataset)
     return sha256 in (digest, _WITH_ARITHMETIC_0.get(digest))
 
 
 def data_hash(dataset: CompactDataset) -> str:
-    """Return one sha256 over only the arrays of ``dataset``; it is the same for every program version."""
+    """Return the sha256 of the arrays of ``dataset``.
+
+    The hash does not depend on the program's version.
+    """
     digest = hashlib.sha256()
     for name, array in sorted(_arrays(dataset).items()):
         digest.update(f"{name} {_sha256(array)}\n".encode())
@@ -115,8 +125,8 @@ def data_hash(dataset: CompactDataset) -> str:
 def save_dataset(dataset: CompactDataset, folder: Path) -> None:
     """Write ``arrays.npz`` and ``manifest.json`` into ``folder``.
 
-    The function creates the folder if necessary, and replaces each file as a whole.  After an interruption
-    between the two files, the folder does not load.
+    The function creates the folder if necessary, and writes each file atomically.  If it is interrupted
+    between the two files, the hashes differ, so ``load_dataset`` refuses the folder.
 
     Args:
         dataset: The data set.
@@ -156,7 +166,7 @@ def load_dataset(folder: Path) -> CompactDataset:
 
 
 def _arrays(dataset: CompactDataset) -> dict[str, NDArray[Any]]:
-    """Return the stored arrays of ``dataset`` by name."""
+    """Return the arrays of ``dataset`` that a file stores, with their names as keys."""
     return {name: getattr(dataset, name) for name in DTYPES}
 
 
@@ -167,7 +177,10 @@ def _sha256(array: NDArray[Any]) -> str:
 
 
 def _manifest_hash(manifest: dict[str, Any]) -> str:
-    """Return a hash of all fields except ``sha256``; the spacing of the file has no effect."""
+    """Return a hash of all fields except ``sha256``.
+
+    White space in the file has no effect on the hash.
+    """
     rest = {name: value for name, value in manifest.items() if name != "sha256"}
     return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
 
@@ -177,7 +190,7 @@ def _error(file: Path, expected: str, got: str, field: str | None = None) -> Dat
 
 
 def _read_manifest(path: Path) -> dict[str, Any]:
-    """Return the manifest in ``path``; raise DatasetError if it was changed or has another format."""
+    """Return the manifest in ``path``, and raise DatasetError if it was changed or has another format."""
     refuse_no_file(path, "the manifest of a data set", DatasetError)
     content = read_json(path, "the manifest of a data set", most=LARGEST_MANIFEST_BYTES, error=DatasetError)
     manifest = of_format(content, FORMAT, path, DatasetError)
@@ -187,7 +200,7 @@ def _read_manifest(path: Path) -> dict[str, Any]:
 
 
 def _read_arrays(path: Path, described: dict[str, _StoredArray]) -> dict[str, Any]:
-    """Return the arrays in ``path``, after a comparison of their bytes with the hashes in the manifest."""
+    """Load the arrays in ``path``, and check them against the hashes in the manifest."""
     arrays: dict[str, NDArray[Any]] = {}
     refuse_no_file(path, "the arrays of a data set", DatasetError)
     try:

@@ -1,4 +1,4 @@
-"""The candidates of many questions, drawn at once, for data sets."""
+"""Draw the candidates of many TCPs at once, for data sets."""
 
 from __future__ import annotations
 
@@ -12,11 +12,14 @@ from safety_harness.cell.avoidance.candidates import CandidateCap
 
 
 def draw_many(cap: CandidateCap, generators: Sequence[np.random.Generator]) -> NDArray[np.float64]:
-    """Return the offsets (n, count, 3) [m] that ``cap.draw`` draws, up to rounding, but much faster.
+    """Return the same offsets as ``cap.draw``, except for rounding, shape (n, count, 3) [m].
+
+    This function is much faster than ``cap.draw``.
 
     Args:
         cap: The cap of the candidates.
-        generators: One generator for each set; a repeated generator draws its sets in turn.
+        generators: A random generator for each of n sets.  If a generator occurs repeatedly, it draws its
+            sets one after another.
 
     """
     frame = cap.frame()
@@ -27,6 +30,8 @@ def draw_many(cap: CandidateCap, generators: Sequence[np.random.Generator]) -> N
     kept = np.zeros(len(generators), np.int64)
     while True:
         _keep(cap.sigma_rad * angles, frame, np.cos(cap.cone_rad), cap.radius_m, offsets, kept)
+        # Only a set with too few directions draws again, so that each generator draws as many numbers as in
+        # ``cap.draw``.
         short = np.flatnonzero(kept < cap.count)
         if not len(short):
             return offsets
@@ -43,7 +48,10 @@ def _keep(
     offsets_out: NDArray[np.float64],  # (n, count, 3)
     kept: NDArray[np.int64],  # (n,) the counts so far, updated
 ) -> None:
-    """Append the offsets of the directions within the cone to every set that is not full yet."""
+    """Append offsets to every set that has fewer than ``count`` offsets.
+
+    The function uses only directions within the cone.
+    """
     sets, _, proposals = angles_rad.shape
     count = offsets_out.shape[1]
     for k in range(sets):

@@ -1,8 +1,7 @@
-"""Metrics of predictions and of their uncertainties, with numpy only.
+"""Compute metrics of predictions and of their uncertainties, with only numpy.
 
 Arrays are (n, 3), with a row for each decision and a column for each axis, in any common unit of length.
-Every function except the half widths raises ValueError if a number is not finite, so that it ignores no
-number silently.
+Every function except those for half widths raises ValueError if a number is not finite.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ NORMAL_95 = 1.96  # the paper's intervals: mean +- 1.96 standard deviations
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """The root mean square error and the mean absolute error: by axis (3,), and over all axes together."""
+    """The root mean square error and the mean absolute error, for each axis and over all axes."""
 
     rmse: Floats
     mae: Floats
@@ -32,7 +31,10 @@ class Errors:
 
 
 def errors(predictions: Floats, targets: Floats) -> Errors:
-    """Return RMSE sqrt(mean e^2) and MAE mean |e| of e = ``predictions`` - ``targets`` (n, 3)."""
+    """Return the RMSE sqrt(mean e^2) and the MAE mean |e|.
+
+    Here e is ``predictions`` - ``targets``, shape (n, 3).
+    """
     difference = _finite(predictions - targets)
     squares, sizes = difference**2, np.abs(difference)
     return Errors(
@@ -44,23 +46,29 @@ def errors(predictions: Floats, targets: Floats) -> Errors:
 
 
 def half_width_of_spread(spreads: Floats) -> Floats:
-    """Return 1.96 s for the standard deviations s = ``spreads`` (n, 3) over the passes.
+    """Return 1.96 times ``spreads``, the standard deviations over the passes, shape (n, 3).
 
-    With these half widths, the paper's figures are reachable.
+    Intervals with these half widths can reproduce the coverage that the paper reports.
     """
     return NORMAL_95 * spreads
 
 
 def half_width_with(spreads: Floats, added_variance: Floats | float) -> Floats:
-    """Return 1.96 sqrt(s^2 + v): s = ``spreads`` (n, 3); v = ``added_variance`` (n, 3), (3,) or a number."""
+    """Return the half widths 1.96 sqrt(s^2 + v), shape (n, 3).
+
+    Here s is ``spreads``, and v is ``added_variance``, which is a number or has the shape (3,) or (n, 3).
+    """
     return NORMAL_95 * np.sqrt(spreads**2 + added_variance)
 
 
 @dataclass(frozen=True, eq=False)
 class IntervalCoverage:
-    """The share of targets within their intervals: by axis (3,) (PICP, eq. 14), and on all axes at once.
+    """The fraction of targets within their intervals.
 
-    ``mean_width`` (3,) is the mean width of the intervals, from the lower to the upper end.
+    ``picp`` has the fraction for each axis, shape (3,) (PICP, eq. 14).  ``joint`` is the fraction of targets
+    that lie within their intervals on all axes at once.
+
+    ``mean_width`` is the mean distance from the lower to the upper end of an interval, shape (3,).
     """
 
     picp: Floats
@@ -69,7 +77,9 @@ class IntervalCoverage:
 
 
 def coverage(predictions: Floats, targets: Floats, half_widths: Floats) -> IntervalCoverage:
-    """Return the PICP (eq. 14) and the width of the intervals prediction +- half width, ends included.
+    """Return the coverage (PICP, eq. 14) and the mean width of the intervals prediction +- half width.
+
+    The intervals include their ends.
 
     ``predictions``, ``targets`` and ``half_widths`` are (n, 3).
     """
@@ -84,23 +94,26 @@ def coverage(predictions: Floats, targets: Floats, half_widths: Floats) -> Inter
 def picp_variants(
     predictions: Floats, targets: Floats, spreads: Floats, *, precision: float, residual_std: Floats | None
 ) -> dict[str, IntervalCoverage]:
-    """Return the coverage for each reading of the paper's PICP, by the reading's name.
+    """Return a dictionary with the coverage for each interpretation of the paper's PICP.
 
-    ``predictions`` y, ``targets`` and ``spreads`` s are (n, 3), and ``residual_std`` r is (3,).  The readings
-    differ in the half width of an interval.  It is 1.96 times s, or 1.96 times one of these:
+    ``predictions`` y, ``targets`` and ``spreads`` s are (n, 3), and ``residual_std`` r is (3,).  The
+    interpretations differ in the half width of an interval.  The half width is 1.96 times s, or 1.96 times
+    one of these terms:
 
-    * sqrt(s^2 + 1/tau), with the inverse model precision (Gal and Ghahramani 2016); at the paper's tau of
+    * sqrt(s^2 + 1/tau), where tau is the model precision (Gal and Ghahramani 2016); at the paper's tau of
       1e-6 per mm^2, 1/tau is a variance of one square metre;
     * sqrt(s^2 + y^2), eq. 11 in its printed form: it does not subtract the squared mean from the mean of the
       squares;
-    * sqrt(s^2 + r^2), with the variance of validation residuals, which is the labels' own noise.
+    * sqrt(s^2 + r^2), where r^2 is the variance of the validation residuals, that is, of the noise in the
+      labels.
 
     Args:
         predictions: The predictions.
         targets: The labels.
         spreads: The standard deviations over the passes.
         precision: Tau, in the unit of the predictions.
-        residual_std: The standard deviation of validation residuals; None omits the last reading.
+        residual_std: The standard deviation of the validation residuals.  If it is None, the result omits the
+            last interpretation.
 
     """
     half_widths = {
@@ -114,11 +127,11 @@ def picp_variants(
 
 
 def calibration_curve(predictions: Floats, targets: Floats, spreads: Floats, levels: Floats) -> Floats:
-    """Return the share (k, 3) of targets within the central normal interval of each level, by axis.
+    """Return the fraction of targets within the central normal interval of each level, shape (k, 3).
 
     ``predictions``, ``targets`` and ``spreads`` s are (n, 3), and ``levels`` p in (0, 1) are (k,).  The
-    interval of level p is prediction +- Phi^-1((1 + p)/2) s.  For calibrated normal predictions the shares
-    equal the levels.
+    interval of level p is prediction +- Phi^-1((1 + p)/2) s.  If the predictions are normally distributed and
+    calibrated, the fractions equal the levels.
 
     Args:
         predictions: The predictions.
@@ -135,12 +148,12 @@ def calibration_curve(predictions: Floats, targets: Floats, spreads: Floats, lev
 def auroc(scores_without: Floats, scores_with: Floats) -> float:
     """Return the area under the ROC curve of a score that should be higher in the second group.
 
-    The area is exactly P(with > without) + P(with = without)/2 over all pairs of ``scores_without`` (n,) and
-    ``scores_with`` (m,) (Mann and Whitney, 1947).
+    The area is P(with > without) + P(with = without)/2 (Mann and Whitney, 1947).  The function computes it
+    exactly over all pairs of a score in ``scores_with`` and a score in ``scores_without``.
 
     Args:
-        scores_without: The scores of the first group, for example of seen questions.
-        scores_with: The scores of the second group, for example of unseen questions.
+        scores_without: (n,) the scores of the first group, for example of seen inputs.
+        scores_with: (m,) the scores of the second group, for example of unseen inputs.
 
     Raises:
         ValueError: A group is empty, or a score is not finite.
@@ -155,10 +168,12 @@ def auroc(scores_without: Floats, scores_with: Floats) -> float:
 
 
 def conformal_quantile(scores: Floats, level: float) -> float:
-    """Return the ceil((n + 1) level)-th smallest of ``scores`` (n,) (Vovk, Gammerman and Shafer, 2005).
+    """Return the conformal quantile of n scores (Vovk, Gammerman and Shafer, 2005).
 
-    A further score that is exchangeable with these is at most as large, with a probability of at least
-    ``level``.
+    The quantile is the k-th smallest score, with k = ceil((n + 1) level).
+
+    Let a new score be exchangeable with the n ``scores`` (n,).  The new score is at most the quantile with a
+    probability of at least ``level``.
 
     Raises:
         ValueError: There are fewer than level / (1 - level) scores, or ``level`` is not between 0 and 1.
@@ -173,16 +188,18 @@ def conformal_quantile(scores: Floats, level: float) -> float:
 
 
 def conformal_multiplier(predictions: Floats, targets: Floats, scales: Floats, level: float = 0.95) -> float:
-    """Return the split-conformal m with which prediction +- m scale covers *all three* axes at ``level``.
+    """Return the split-conformal multiplier m of the interval prediction +- m scale.
 
-    ``predictions`` and ``targets`` are (n, 3), and ``scales`` (n, 3), or (3,) for every row.  The score of a
-    row is max_axis |prediction - target|/scale, and m is the ``conformal_quantile`` of the scores.
+    The intervals contain a new target on all three axes at once with a probability of at least ``level``.
+
+    The score of a row is the maximum of |prediction - target|/scale over the axes, and m is the
+    ``conformal_quantile`` of the scores.
 
     Args:
-        predictions: Predictions for held-out questions.
-        targets: The labels of these questions.
-        scales: Positive scales.
-        level: The share of targets that the intervals cover.
+        predictions: (n, 3) predictions for held-out inputs.
+        targets: (n, 3) the labels of these inputs.
+        scales: (n, 3) positive scales, or (3,) the same scales for every row.
+        level: The fraction of targets that the intervals contain.
 
     Raises:
         ValueError: A scale is not positive, or there are too few rows.
@@ -194,21 +211,27 @@ def conformal_multiplier(predictions: Floats, targets: Floats, scales: Floats, l
 
 
 def largest_spread(spreads: Floats) -> Floats:
-    """Return the largest (n,) of each decision's three spreads, from ``spreads`` (n, 3)."""
+    """Return the largest of the three spreads of each decision, shape (n,).
+
+    ``spreads`` has the shape (n, 3).
+    """
     largest: Floats = _finite(spreads).max(axis=1)
     return largest
 
 
 def spread_threshold(spreads: Floats, level: float = 0.99) -> float:
-    """Return the threshold that a further decision exceeds with a probability of at most 1 - ``level``.
+    """Return a threshold for the largest spread of a new decision.
 
-    It is the ``conformal_quantile`` of the largest spread in each row of ``spreads`` (n, 3).
+    The spread exceeds the threshold with a probability of at most 1 - ``level``.
+
+    The threshold is the ``conformal_quantile`` of the largest spread in each row of ``spreads``, which has
+    the shape (n, 3).
     """
     return conformal_quantile(largest_spread(spreads), level)
 
 
 def _finite(array: Floats) -> Floats:
-    """Return ``array`` (...) if all its numbers are finite; raise ValueError otherwise."""
+    """Return ``array``, and raise ValueError if it contains a number that is not finite."""
     if not np.all(np.isfinite(array)):
         raise ValueError("expected finite numbers")
     return array

@@ -1,8 +1,10 @@
-"""The regression ResNet of figures 3 and 4 in PyTorch: Chen et al. (2020), with dropout after Gal.
+"""The networks in PyTorch: the regression ResNet of figures 3 and 4, and a small perceptron.
 
-Dropout is never a hidden state of the module: a forward pass receives its masks, or it has no dropout.  One
-Monte Carlo pass is a forward pass with masks in evaluation mode, in which batch normalisation uses running
-statistics.  Another implementation can use the same masks.
+The ResNet follows Chen et al. 2020, with dropout according to Gal.
+
+The caller passes dropout masks to each forward pass; without masks, the pass has no dropout.  A Monte Carlo
+pass is a forward pass with masks in evaluation mode, in which batch normalisation uses its running
+statistics.  Because the masks are arguments, another implementation can use the same masks.
 """
 
 from __future__ import annotations
@@ -34,18 +36,24 @@ Drop = Callable[[Tensor], Tensor]
 
 
 def _keep(x: Tensor) -> Tensor:
-    """Return ``x`` unchanged, for a place without dropout."""
+    """Return ``x`` unchanged, for the places where a network has no dropout."""
     return x
 
 
 def _next_masks(masks: Masks, probability: float) -> Drop:
-    """Return inverted dropout: each call applies the next mask and divides by the kept share of units."""
+    """Return a function for inverted dropout.
+
+    Each call applies the next mask and divides by the expected fraction of units that dropout keeps.
+    """
     left, scale = iter(masks), 1.0 / (1.0 - probability)
     return lambda x: x * (next(left)[..., : x.shape[-1]] * scale)
 
 
 class Block(nn.Module):
-    """Three fully connected layers beside a shortcut (figure 4); the shortcut is dense or the identity."""
+    """A residual block of three fully connected layers and a shortcut (figure 4).
+
+    The shortcut is either a fully connected layer or the identity.
+    """
 
     def __init__(self, inputs: int, *, dense: bool) -> None:
         super().__init__()
@@ -57,13 +65,13 @@ class Block(nn.Module):
             self.fcs, self.bns = nn.Linear(inputs, WIDTH), nn.BatchNorm1d(WIDTH)
 
     def forward(self, x: Tensor, drop: Drop) -> Tensor:
-        """Return relu(bn3 fc3 relu(bn2 fc2 relu(bn1 fc1 x)) + shortcut(x)), (n, WIDTH).
+        """Return relu(bn3 fc3 relu(bn2 fc2 relu(bn1 fc1 x)) + shortcut(x)), shape (n, WIDTH).
 
-        The shortcut is bns fcs x, or x itself.
+        The shortcut is bns fcs x for a dense block, and otherwise x itself.
 
         Args:
             x: (n, inputs) the input.
-            drop: The dropout before fc1, fc2, fc3 and fcs, in this order.
+            drop: A function that applies dropout to the inputs of fc1, fc2, fc3 and fcs, in this order.
 
         """
         h = torch.relu(self.bn1(self.fc1(drop(x))))
@@ -74,12 +82,16 @@ class Block(nn.Module):
 
 
 class RegressionResNet(nn.Module):
-    """Stages of one dense block and some identity blocks, then batch norm and a fully connected layer.
+    """A regression network of several stages, followed by batch normalisation and a fully connected layer.
 
-    Inputs (n, 7) and outputs (n, 3), which are positions, are float32, normalised or in raw millimetres.
+    Each stage has one block with a dense shortcut and several blocks with an identity shortcut.
+
+    The inputs, shape (n, 7), and the outputs, shape (n, 3), are float32 positions.  They are either
+    normalised or in millimetres.  The seventh input is the constant 1.
 
     Args:
-        dropout: The places of dropout: none, the output of each stage (INTER), or before every layer (FULL).
+        dropout: Where the network applies dropout: nowhere (NONE), to the output of each stage (INTER), or to
+            the input of every layer (FULL).
         probability: The probability of dropping a unit.
 
     Raises:
@@ -106,11 +118,13 @@ class RegressionResNet(nn.Module):
 
     @property
     def places(self) -> int:
-        """The number of dropout places, and so of masks: the outputs of stages, or the inputs of layers."""
+        """The number of places with dropout, which equals the number of masks."""
         return PLACES[self.dropout]
 
     def draw_masks(self, rows: int, generator: torch.Generator) -> Tensor:
-        """Return masks (places, rows, WIDTH) of 1 (keep) and 0 (drop), on the generator's device.
+        """Return random masks of shape (places, rows, WIDTH), on the generator's device.
+
+        An entry 1 keeps a unit, and 0 drops it.
 
         Args:
             rows: The number of rows.
@@ -125,9 +139,10 @@ class RegressionResNet(nn.Module):
 
         Args:
             x: (n, 7) the inputs.
-            masks: A mask for each of ``places``; 1 or true keeps a unit.  Its shape is (n, WIDTH), or
-                (WIDTH,) for all rows alike.  A place with fewer than ``WIDTH`` units (the seven inputs of the
-                first layers) uses the first entries of its mask.  None means no dropout.
+            masks: A mask for each of the ``places`` with dropout.  An entry of 1 or True keeps a unit.  A
+                mask has the shape (n, WIDTH), or the shape (WIDTH,) if it applies to all rows.  A place with
+                fewer than ``WIDTH`` units (the seven inputs of the first layers) uses the first entries of
+                its mask.  None means no dropout.
 
         Raises:
             ValueError: The number of masks is wrong.
@@ -146,7 +161,10 @@ class RegressionResNet(nn.Module):
 
 
 class ReluPerceptron(nn.Module):
-    """Two hidden layers with ReLU; the interface is the ResNet's, but masks and constant have no effect."""
+    """A network with two hidden layers and ReLU.
+
+    It has the same interface as the ResNet, but it ignores the masks and the constant input.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -154,7 +172,10 @@ class ReluPerceptron(nn.Module):
         self.fc_out = nn.Linear(WIDTH, OUTPUTS)
 
     def forward(self, x: Tensor, masks: Masks | None = None) -> Tensor:
-        """Return the outputs (n, 3) for the inputs ``x`` (n, 7); ``masks`` have no effect."""
+        """Return the outputs for the inputs ``x``, shape (n, 3).
+
+        ``x`` has the shape (n, 7).  The network ignores ``masks``.
+        """
         h = torch.relu(self.fc1(x[:, :PERCEPTRON_INPUTS]))
         y: Tensor = self.fc_out(torch.relu(self.fc2(h)))
         return y
@@ -168,7 +189,7 @@ def network_of(kind: str, dropout: Dropout, probability: float) -> Network:
 
     Args:
         kind: The kind.
-        dropout: The places of dropout.
+        dropout: The places at which the network applies dropout.
         probability: The probability of dropping a unit.
 
     """
@@ -178,14 +199,20 @@ def network_of(kind: str, dropout: Dropout, probability: float) -> Network:
 
 
 def fresh_network(recipe: Recipe, seed: int) -> Network:
-    """Return a network of ``recipe`` with PyTorch's usual initial weights, drawn from ``seed`` alone."""
+    """Return a network of ``recipe`` with random initial weights, which depend only on ``seed``.
+
+    The weights have PyTorch's default distribution.
+    """
     with torch.random.fork_rng(devices=[]):  # layers draw from the global generator; this restores its state
         torch.default_generator.manual_seed(seed)
         return network_of(recipe.kind, recipe.dropout, recipe.dropout_probability)
 
 
 def to_tensors(network: Network) -> dict[str, NDArray[np.float32]]:
-    """Return copies of the weights and running statistics of ``network``, float32, by state-dict name."""
+    """Return float32 copies of the weights and running statistics of ``network``.
+
+    The keys are the names in PyTorch's state dictionary.
+    """
     return {
         name: tensor.detach().cpu().numpy().copy()
         for name, tensor in network.state_dict().items()
@@ -194,7 +221,10 @@ def to_tensors(network: Network) -> dict[str, NDArray[np.float32]]:
 
 
 def load_tensors(network: Network, tensors: Mapping[str, NDArray[np.float32]]) -> None:
-    """Load the tensors of ``to_tensors`` into ``network``; raise RuntimeError for a wrong name or shape."""
+    """Load the tensors that ``to_tensors`` returned into ``network``.
+
+    Raise RuntimeError if a tensor has a wrong name or shape.
+    """
     state = {name: torch.from_numpy(np.array(array)) for name, array in tensors.items()}
     counters = {name: t for name, t in network.state_dict().items() if name.endswith(UNTRACKED)}
     network.load_state_dict(state | counters)

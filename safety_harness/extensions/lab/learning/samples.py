@@ -1,4 +1,4 @@
-"""Samples in the form that a network learns from: float32, in normalised variables or in millimetres."""
+"""Convert samples to a network's training data: float32, either normalised or in millimetres."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ CHUNK = 200_000  # samples that are held as float64 at a time
 
 
 class Samples(Protocol):
-    """Numbered samples, computed on demand."""
+    """A set of training samples; a sample is selected by its number and may be computed on demand."""
 
     def inputs(self, index: Index, /) -> NDArray[np.float64]:
-        """Return the positions of hand and TCP in the base frame [m], (n, 6)."""
+        """Return the positions of hand and TCP in the base frame, shape (n, 6) [m]."""
         ...
 
     def targets(self, index: Index, /) -> NDArray[np.float64]:
-        """Return the repulsive position in the base frame [m], (n, 3)."""
+        """Return the repulsive positions in the base frame, shape (n, 3) [m]."""
         ...
 
 
@@ -36,22 +36,25 @@ class ArraySamples:
     all_targets: NDArray[np.float64]
 
     def inputs(self, index: Index) -> NDArray[np.float64]:
-        """Return the inputs (len, 6) of the samples ``index``."""
+        """Return the inputs of the samples whose numbers are in ``index``, shape (len, 6)."""
         return self.all_inputs[index]
 
     def targets(self, index: Index) -> NDArray[np.float64]:
-        """Return the targets (len, 3) of the samples ``index``."""
+        """Return the targets of the samples whose numbers are in ``index``, shape (len, 3)."""
         return self.all_targets[index]
 
 
 def samples_for(recipe: Recipe, dataset: CompactDataset) -> Samples:
-    """Return the samples of ``dataset`` with the target of ``recipe``."""
+    """Return the samples of ``dataset`` with the kind of target that ``recipe`` requires."""
     return dataset.without_noise() if recipe.target == "continuous" else dataset
 
 
 @dataclass(frozen=True, eq=False)
 class Normalisation:
-    """The map from a value [m] to a network's variable (value - mean) / std; means and stds in metres."""
+    """The normalisation of a network's inputs and targets: (value - mean) / std.
+
+    The values, means and standard deviations are in metres.
+    """
 
     input_mean: NDArray[np.float64]  # (6,)
     input_std: NDArray[np.float64]  # (6,)
@@ -62,12 +65,14 @@ class Normalisation:
     def from_recipe(
         cls, recipe: Recipe, mean: NDArray[np.float64], std: NDArray[np.float64]
     ) -> Normalisation:
-        """Return the recipe's normalisation: by ``mean`` and ``std`` (9,), or to plain millimetres.
+        """Return the normalisation for a recipe.
+
+        It uses ``mean`` and ``std`` if the recipe normalises, and otherwise only converts to millimetres.
 
         Args:
             recipe: The recipe.
-            mean: The means of inputs and targets [m].
-            std: The standard deviations of inputs and targets [m].
+            mean: (9,) the means of inputs and targets [m].
+            std: (9,) the standard deviations of inputs and targets [m].
 
         """
         if recipe.normalise:
@@ -76,7 +81,7 @@ class Normalisation:
 
 
 def moments(samples: Samples, index: Index) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the means and standard deviations [m], (9,) each, of the six inputs and three targets.
+    """Return the means and standard deviations of the six inputs and three targets, shape (9,) each [m].
 
     Args:
         samples: The samples.
@@ -105,12 +110,16 @@ def moments(samples: Samples, index: Index) -> tuple[NDArray[np.float64], NDArra
 
 
 def _columns(samples: Samples, index: Index) -> NDArray[np.float64]:
-    """Return inputs and targets side by side (n, 9)."""
+    """Return the inputs and targets of samples as the columns of one array, shape (n, 9)."""
     return np.concatenate([samples.inputs(index), samples.targets(index)], axis=1)  # (n, 9)
 
 
 def network_inputs(inputs: NDArray[np.float64], normalisation: Normalisation) -> NDArray[np.float32]:
-    """Return the network's inputs (n, 7): (x - mean)/std of x = ``inputs`` (n, 6) [m], and the constant 1."""
+    """Return the network's inputs, shape (n, 7).
+
+    The first six columns are (x - mean)/std, where x is ``inputs`` of shape (n, 6) [m].  The last column is
+    1.
+    """
     x = np.ones((len(inputs), 7), dtype=np.float32)
     x[:, :6] = (inputs - normalisation.input_mean) / normalisation.input_std
     return x
@@ -119,7 +128,7 @@ def network_inputs(inputs: NDArray[np.float64], normalisation: Normalisation) ->
 def network_samples(
     samples: Samples, index: Index, normalisation: Normalisation
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the network's inputs (n, 7) and targets (n, 3) of the samples ``index``."""
+    """Return a network's inputs and targets for the samples ``index``, shapes (n, 7) and (n, 3)."""
     x = np.empty((len(index), 7), dtype=np.float32)
     y = np.empty((len(index), 3), dtype=np.float32)
     for start in range(0, len(index), CHUNK):

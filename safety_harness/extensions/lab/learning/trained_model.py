@@ -1,9 +1,10 @@
-"""The contents of a model file from a training: networks, normalisation, seen space, card, calibration.
+"""Create a calibrated model, which a file can store, from the result of a training.
 
-The calibration uses held-out *seen* TCPs.  It determines the width of the intervals, and the spread above
-which an answer is in doubt.  Both numbers are quantiles with the finite-sample correction of split-conformal
-prediction.  They come from decisions that are exchangeable with a new decision in the seen space.  The
-calibration draws new TCPs and hands and uses each once, since samples of a TCP share the noise of its label.
+The calibration uses new TCPs in the *seen* space.  It determines the width of the intervals, and the
+threshold of the spread above which an answer is uncertain.  Both numbers are quantiles of split-conformal
+prediction, which correct for the finite number of samples.  Their guarantees apply to a new decision in the
+seen space, because the calibration's decisions are exchangeable with such a decision.  Each TCP and each hand
+occurs only once, because samples of the same TCP share the noise of its label.
 """
 
 from __future__ import annotations
@@ -44,12 +45,17 @@ LIMITS = (
 
 
 def split_for(recipe: Recipe, dataset: CompactDataset) -> Split:
-    """Return the split of ``dataset`` that ``recipe`` names, drawn from the data set's own seed."""
+    """Return a random split of ``dataset`` of the kind that ``recipe`` requires.
+
+    The data set's own seed determines the split.
+    """
     return SPLITS[recipe.split](dataset, seed=dataset.seed)
 
 
 def model_of(trained: Trained, dataset: CompactDataset, split: Split, command: str) -> Model:
-    """Return a model of the trained networks, with normalisation, seen space and card; no calibration yet.
+    """Return a model with the trained networks, their normalisation, their seen space and a card.
+
+    The model has no calibration yet.
 
     Args:
         trained: The result of the training.
@@ -86,7 +92,7 @@ def model_of(trained: Trained, dataset: CompactDataset, split: Split, command: s
 
 
 def _card(trained: Trained, dataset: CompactDataset, split: Split, command: str) -> dict[str, Any]:
-    """Return the card, which states the origin of the model and its figures in the validation."""
+    """Return the model's card, which states the origin of the model and its losses in the validation."""
     best = [
         [epoch for epoch in trained.history if epoch.member == member and epoch.is_best][-1]
         for member in range(trained.recipe.members)
@@ -120,9 +126,9 @@ def _card(trained: Trained, dataset: CompactDataset, split: Split, command: str)
     }
 
 
-SAMPLES = 10_000
+SAMPLES = 10_000  # decisions in each of the two sets; a choice
 COVERAGE_LEVEL = 0.95  # of the intervals, jointly over the three axes
-SPREAD_LEVEL = 0.99
+SPREAD_LEVEL = 0.99  # so the gate refuses one decision in a hundred of the seen space
 _RESIDUALS, _QUANTILES = 0, 1  # leaves of (BRANCH, ...) below the seed: one data set for each purpose
 BRANCH = 7
 
@@ -130,12 +136,13 @@ BRANCH = 7
 def calibrate(
     model: Model, recipe: Recipe, dataset: CompactDataset, *, seed: int, samples: int = SAMPLES
 ) -> Model:
-    """Return ``model`` with a calibration from fresh draws of the data set's space.
+    """Return a copy of ``model`` with a calibration on new random samples from the data set's space.
 
-    The residuals on a first set determine the scale sqrt(spread^2 + residual_std^2) of an interval, by axis.
-    A second, independent set determines the multiple of this scale that covers 95 % of the labels on all axes
-    at once.  The second set also determines the spread that one decision in a hundred exceeds (Angelopoulos
-    and Bates, 2023).
+    The scale of an interval is sqrt(spread^2 + residual_std^2) for each axis.  A first set of samples
+    determines residual_std.  A second, independent set determines the interval multiplier.  The multiplier is
+    so large that 95 % of the labels lie within their intervals on all axes at once.  The second set also
+    determines the threshold of the spread, which one decision in a hundred exceeds (Angelopoulos and Bates,
+    2023).
 
     Args:
         model: The model.
@@ -148,6 +155,7 @@ def calibrate(
     avoider = LearnedAvoider.from_model(model)
     predictions, targets, _ = _decisions(avoider, recipe, dataset, seed, _RESIDUALS, samples)
     residual_std = np.sqrt(((predictions - targets) ** 2).mean(axis=0))
+    # The second set must be independent: the quantile holds only for scores that did not determine the scale.
     predictions, targets, spreads = _decisions(avoider, recipe, dataset, seed, _QUANTILES, samples)
     scales = interval_scale(spreads, residual_std)
     x, y, z = (float(std) for std in residual_std)
@@ -164,13 +172,15 @@ def calibrate(
 
 
 def interval_scale(spreads: Floats, residual_std: Floats) -> Floats:
-    """Return the scale sqrt(s^2 + r^2) (n, 3) [m] that the interval multiplier multiplies.
+    """Return the scale sqrt(s^2 + r^2) of intervals, shape (n, 3) [m].
 
-    Here s is ``spreads`` (n, 3), and r is ``residual_std`` (3,).
+    The half width of an interval is the interval multiplier times this scale.
+
+    Here s is ``spreads``, and r is ``residual_std``.
 
     Args:
-        spreads: The standard deviations over the passes.
-        residual_std: The root mean square of the residuals on held-out labels.
+        spreads: (n, 3) the standard deviations over the passes.
+        residual_std: (3,) the root mean square of the residuals on held-out labels.
 
     """
     scale: Floats = np.sqrt(spreads**2 + residual_std**2)
@@ -180,7 +190,10 @@ def interval_scale(spreads: Floats, residual_std: Floats) -> Floats:
 def _decisions(
     avoider: LearnedAvoider, recipe: Recipe, dataset: CompactDataset, seed: int, purpose: int, samples: int
 ) -> tuple[Floats, Floats, Floats]:
-    """Return predictions, labels and spreads (n, 3) [m] for ``samples`` fresh pairs of a TCP and a hand."""
+    """Return predictions, labels and spreads for new random pairs of TCP and hand, shape (n, 3) each [m].
+
+    The number n of pairs is ``samples``.
+    """
     leaf = seed_below(seed, BRANCH, purpose)
     fresh, pairs = fresh_pairs(
         dataset.settings, dataset.space, seed=leaf, samples=samples, candidates=dataset.candidates

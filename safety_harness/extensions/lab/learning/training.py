@@ -1,8 +1,11 @@
-"""Training with Adam on the L1 loss (or L2); it keeps the epoch with the best validation (section 4.1).
+"""Train networks with Adam on the L1 or L2 loss (section 4.1).
 
-The same recipe, samples, seed and machine give the same bits, with or without an interruption.  A training
-uses one thread, because sums depend on the number of threads.  Each epoch of each member draws its samples
-and dropout masks from its own generators, which are leaves of the one seed.
+A training keeps the weights after the epoch with the lowest validation loss.
+
+If a training is repeated with the same recipe, samples and seed on the same machine, the result is
+bit-identical, even after an interruption.  A training uses one thread, because the rounding of sums depends
+on the number of threads.  Each epoch of each member draws its samples and dropout masks from its own
+generators, which derive from the training's seed.
 """
 
 from __future__ import annotations
@@ -78,7 +81,7 @@ def train(
 ) -> Trained:
     """Train all members of a recipe, and write the state after each epoch to checkpoint.safetensors.
 
-    An interruption at any time loses only the present epoch; the function passes KeyboardInterrupt on.
+    An interruption at any time loses only the current epoch.  The function does not catch KeyboardInterrupt.
 
     Args:
         recipe: The recipe.
@@ -87,12 +90,13 @@ def train(
         validation: The numbers of the samples to validate with.
         seed: The root of all random numbers.
         out: The folder of the checkpoint.
-        resume: Whether to continue from a checkpoint; without a checkpoint, the training starts anew.
+        resume: Whether to continue from the checkpoint in ``out``.  If there is no checkpoint, the training
+            starts anew.
         device: The device of PyTorch.
-        on_epoch: Receives each epoch after its checkpoint is written.
+        on_epoch: A function that receives each epoch after its checkpoint is written.
 
     Raises:
-        OutputError: ``out`` cannot be written, or it holds a checkpoint although ``resume`` is False.
+        OutputError: ``out`` cannot be written, or it contains a checkpoint although ``resume`` is False.
         ModelError: The checkpoint belongs to another training, there are too few samples, the device does not
             exist, or a loss is not finite.
 
@@ -111,6 +115,7 @@ def train(
         state = begin_or_resume(path, recipe, seed, run.data, resume=resume)
         history = list(state.history) if state else []
         best = list(state.best) if state else []
+        # A checkpoint's last member may be unfinished, so a resumed training begins with that member.
         for member in range(len(best) - 1 if state else 0, recipe.members):
             first = run.restore(state) if state else run.begin(member)
             state = None
@@ -132,7 +137,7 @@ def train(
 
 
 def _device(name: str) -> torch.device:
-    """Return the device after a test; raise ModelError if this machine has no such device."""
+    """Return the device after a small test, and raise ModelError if this machine has no such device."""
     try:
         device = torch.device(name)
         torch.ones(1, device=device)
@@ -156,7 +161,7 @@ def _one_thread() -> Iterator[None]:
 
 
 class _Run:
-    """A training: its constants, and the network and optimiser of the present member."""
+    """The state of a training: its constants, and the network and optimiser of the current member."""
 
     network: Network
     optimiser: torch.optim.Adam
@@ -185,12 +190,13 @@ class _Run:
         self.data = digest.hexdigest()
 
     def begin(self, member: int) -> int:
-        """Begin a fresh member, and return its first epoch."""
+        """Begin the training of a new member, and return the number of its first epoch."""
         self._use(fresh_network(self.recipe, seed_below(self.seed, _WEIGHTS, member)))
         return 0
 
     def restore(self, state: Checkpoint) -> int:
-        """Restore the last member in a checkpoint, and return its next epoch."""
+        """Restore the last member in a checkpoint, and return the number of its next epoch."""
+        # The seed has no effect, because the tensors of the checkpoint replace all weights.
         network = fresh_network(self.recipe, 0)
         load_tensors(network, state.weights)
         self._use(network)
@@ -202,7 +208,7 @@ class _Run:
         return state.history[-1].number + 1
 
     def checkpoint(self, history: list[Epoch], best: list[Tensors]) -> Checkpoint:
-        """Return the present state as a checkpoint."""
+        """Return the current state as a checkpoint."""
         adam = {
             f"{index}/{key}": tensor.detach().cpu().numpy().copy()
             for index, entry in self.optimiser.state_dict()["state"].items()
@@ -219,7 +225,10 @@ class _Run:
         )
 
     def epoch(self, member: int, number: int, earlier: list[Epoch]) -> Epoch:
-        """Train for one epoch, then validate; ``earlier`` lists the member's epochs so far."""
+        """Train for one epoch, then validate, and return the losses.
+
+        ``earlier`` contains the member's epochs so far.
+        """
         training_loss = self._train(member, number)
         validation_loss, rmse_m = self._validate()
         if not math.isfinite(training_loss + validation_loss):
@@ -250,7 +259,7 @@ class _Run:
     def _train(self, member: int, number: int) -> float:
         """Train once on the samples of an epoch, and return the mean loss of its batches.
 
-        The method omits an incomplete last batch, because its batch statistics would be the noisiest.
+        The method skips an incomplete last batch, because the statistics of a small batch are noisy.
         """
         recipe, network = self.recipe, self.network
         chosen = self._chosen(self._training, recipe.training_samples, _EPOCH, member, number)
@@ -259,6 +268,7 @@ class _Run:
         rows = min(recipe.batch_size, len(chosen))
         batches = len(chosen) // rows
         generator = self._mask_generator(_EPOCH, member, number, 1)
+        # A float64 total on the device: reading each loss would wait for the device after every batch.
         total = torch.zeros((), dtype=torch.float64, device=self.device)
         draw = self._masks
         network.train()
@@ -275,28 +285,33 @@ class _Run:
 
     @property
     def _masks(self) -> Callable[[int, torch.Generator], Masks] | None:
-        """The function that draws masks; None for a network without dropout."""
+        """The function that draws dropout masks, or None for a network without dropout."""
         if self.recipe.dropout is Dropout.NONE or not isinstance(self.network, RegressionResNet):
             return None
         return self.network.draw_masks
 
     def _loss(self, error: torch.Tensor) -> torch.Tensor:
-        """Return the loss that the recipe names, as the mean over samples and axes."""
+        """Return the mean of the recipe's loss over samples and axes."""
         return error.abs().mean() if self.recipe.loss == "l1" else error.square().mean()
 
     def _set_rate(self, progress: float) -> None:
-        """Set the learning rate for ``progress``, the finished share (0 to 1) of the whole training."""
+        """Set the learning rate according to the progress of the training.
+
+        ``progress`` is the finished fraction of the training, between 0 and 1.
+        """
         fall = (1.0 + math.cos(math.pi * progress)) / 2.0 if self.recipe.annealed else 1.0
         for group in self.optimiser.param_groups:
             group["lr"] = self.recipe.learning_rate * fall
 
     @torch.no_grad()
     def _validate(self) -> tuple[float, float]:
-        """Return the loss in the network's unit, and the RMSE over all axes [m], for the mean of the passes.
+        """Return the validation loss in the network's unit, and the RMSE over all axes [m].
 
-        The method validates a dropout network with dropout, as in its later use.  The network's running
-        statistics come from layers with dropout, so they fit a pass without dropout worse.  The masks are the
-        same after every epoch.
+        The prediction is the mean over the passes.
+
+        If a network has dropout, its validation uses dropout too, as an avoider does.  Without dropout, the
+        network would be less accurate, because its running statistics come from passes with dropout.  The
+        masks are the same in every epoch.
         """
         network, draw = self.network.eval(), self._masks
         x, y = self._validation
@@ -313,11 +328,14 @@ class _Run:
         return float(self._loss(error)), math.sqrt(float(((error * scale) ** 2).mean()))
 
     def _mask_generator(self, *leaf: int) -> torch.Generator:
-        """Return the generator of masks for a leaf of the seed."""
+        """Return a generator for dropout masks, whose seed derives from the training's seed by ``leaf``."""
         return torch.Generator(self.device).manual_seed(seed_below(self.seed, *leaf))
 
     def _chosen(self, index: Index, count: int | None, *leaf: int) -> Index:
-        """Return ``count`` distinct members of ``index`` in random order, or all if it is None or larger."""
+        """Return ``count`` distinct elements of ``index`` in random order.
+
+        If ``count`` is None or exceeds the length of ``index``, return all elements in random order.
+        """
         rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.seed, spawn_key=leaf)))
         size = len(index) if count is None else min(count, len(index))
         return index[rng.choice(len(index), size, replace=False)]

@@ -1,4 +1,7 @@
-"""A self-contained HTML page about proofs: the proven parts with maps, and separately the estimates."""
+"""A self-contained HTML page about proofs.
+
+It shows the proven parts of each claim, with maps of the rest, and separately the bounds from random samples.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,11 @@ STATES = {"proven": "holds", "refuted": "violated", "undecided": "inconclusive",
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ProofEvidence:
-    """The content of the page; ``command`` repeats the job, and ``files`` ask the refuting questions."""
+    """The content of the page.
+
+    ``command`` is the command line that repeats the proofs.  ``files`` has an entry for each claim: the name
+    of a scenario file whose run begins with the question that refutes the claim, or None.
+    """
 
     plan: ProofPlan
     proofs: tuple[Proof, ...]
@@ -39,7 +46,7 @@ class ProofEvidence:
 
 
 def render(evidence: ProofEvidence) -> str:
-    """Return the page as text; the same evidence gives the same bytes."""
+    """Return the text of the page, which depends only on ``evidence``."""
     proofs = evidence.proofs
     proven = sum(proof.verdict == "proven" for proof in proofs)
     return render_page(
@@ -59,7 +66,9 @@ def render(evidence: ProofEvidence) -> str:
 
 
 def drawn_maps(maps: tuple[BoxMap, ...], prefix: str) -> Iterator[tuple[str, Markup]]:
-    """Yield the caption and drawing of each map; omit a map of the refuted part if nothing is refuted.
+    """Yield the caption and the drawing of each map.
+
+    The function omits the maps of refuted parts if no part is refuted.
 
     Args:
         maps: The maps.
@@ -79,7 +88,7 @@ def drawn_maps(maps: tuple[BoxMap, ...], prefix: str) -> Iterator[tuple[str, Mar
 
 
 def _section(evidence: ProofEvidence, number: int) -> dict[str, object]:
-    """Return the page's content about one claim."""
+    """Return the page's content for one claim."""
     proof, bound = evidence.proofs[number], None
     if evidence.bounds:
         bound = evidence.bounds[number]

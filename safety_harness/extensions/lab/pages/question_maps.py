@@ -1,8 +1,10 @@
-"""Maps of bad answers: a grid of squares shows the questions from above or from the side.
+"""Draw maps of the positions with bad answers.
 
-A cell with worse answers has a larger square, and squares of the worst class also have another colour.  So
-colour never carries information alone.  All squares of a class form one path, so that a map takes only a few
-kilobytes.
+A map is a grid of squares, which shows the positions of hands or TCPs from above or from the side.
+
+A cell with worse answers has a larger square, and squares of the worst class also have another colour.  A
+reader can therefore tell the classes apart without colours.  All squares of a class form one path, which
+keeps the size of a map to a few kilobytes.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from numpy.typing import NDArray
 from safety_harness.base.geometry.arrays import ArrayNx3
 from safety_harness.report.svg import Ink, describe
 
+# Cells per side; then the sizes in pixels; a choice.
 CELLS, CELL_PX, LEFT_PX, TOP_PX, BELOW_PX, RIGHT_PX = 20, 14, 54, 10, 24, 8
 LETTERS_PX = 14
 AXES = "xyz"
@@ -26,10 +29,12 @@ VIEWS = ((0, 1, "from above"), (0, 2, "from the side"))  # across, up
 
 @dataclass(frozen=True)
 class Scale:
-    """The classes of a quantity, between rising ``edges``; each of the n + 1 classes has one of ``words``.
+    """The classes of a quantity; ``edges`` contains n ascending limits between the classes.
 
-    A value at or above the last edge is bad.  A cell has the class of its largest value, or of the mean value
-    if ``shares`` is set.
+    There are n + 1 classes, and ``words`` has a text for each of them.
+
+    A value at or above the last edge is bad.  The class of a cell is the class of its largest value, or of
+    its mean value if ``shares`` is True.
     """
 
     edges: tuple[float, ...]
@@ -37,12 +42,12 @@ class Scale:
     shares: bool = False
 
     def classes(self, values: NDArray[np.float64]) -> NDArray[np.int64]:  # (n,)
-        """Return the class (n,) of each of ``values`` (n,); the class of NaN is the worst."""
+        """Return the class of each value in ``values``, shape (n,); NaN belongs to the worst class."""
         numbers = np.searchsorted(np.array(self.edges), values, side="right")
         return np.where(np.isnan(values), len(self.edges), numbers)
 
     def size_px(self, level: int) -> int:
-        """Return the side length of a square of class ``level`` in its cell."""
+        """Return the side length of a square of class ``level`` [px]."""
         return 4 + round((CELL_PX - 5) * level / len(self.edges))
 
 
@@ -55,19 +60,20 @@ def question_map(
     prefix: str,
     title: str,
 ) -> str:
-    """Return an ``<svg>`` that shows the class of each cell, from positions with values.
+    """Return an ``<svg>`` of a grid whose cells show the class of the values in them.
 
     Args:
         positions: (n, 3) the positions in the base frame [m].
-        values: (n,) the values of the positions.
+        values: (n,) the value at each position.
         scale: The classes.
-        view: The axes across and up, and the view in words.
+        view: The index of the horizontal axis, the index of the vertical axis, and a text for the view.
         prefix: The prefix of identifiers.
         title: The title.
 
     """
     across, upwards, seen = view
     low, high = positions.min(axis=0), positions.max(axis=0)
+    # All positions may share a coordinate.
     size = np.maximum(high - low, 1e-6)
     cell = np.minimum(((positions - low) / size * CELLS).astype(np.int64), CELLS - 1)
     place = cell[:, across], cell[:, upwards]
@@ -91,14 +97,14 @@ def class_map(
     prefix: str,
     title: str,
 ) -> str:
-    """Return an ``<svg>`` that shows the classes of cells.
+    """Return an ``<svg>`` of a grid whose cells show the given classes.
 
     Args:
-        worst: (CELLS, CELLS) the classes, indexed by across and up; -1 for an empty cell.
+        worst: (CELLS, CELLS) the classes, with a row for each horizontal position.  An empty cell has -1.
         scale: The classes.
-        ends_m: The ends of the axes across and up.
+        ends_m: The ends of the horizontal axis and of the vertical axis.
         axes: The letters of the two axes.
-        seen: The view in words.
+        seen: A text for the view, such as "seen from above".
         prefix: The prefix of identifiers.
         title: The title.
 
@@ -120,7 +126,10 @@ def class_map(
 
 
 def _draw_class(root: Element, cells: NDArray[np.int64], scale: Scale, level: int) -> None:
-    """Draw the squares of class ``level``, which are in ``cells`` (n, 2), as one path."""
+    """Draw the squares of the cells of class ``level`` as one path.
+
+    ``cells`` contains the indices of these cells, shape (n, 2).
+    """
     size_px = scale.size_px(level)
     inset = (CELL_PX - size_px) / 2.0
     bad = level == len(scale.edges)
@@ -137,7 +146,7 @@ def _draw_class(root: Element, cells: NDArray[np.int64], scale: Scale, level: in
 def _label_axes(
     root: Element, side: int, across_m: tuple[float, float], up_m: tuple[float, float], names: str
 ) -> None:
-    """Draw the names of both axes, and the positions of their ends in millimetres."""
+    """Write the names of both axes, and the coordinates of their ends in millimetres."""
     bottom = TOP_PX + side
     marks: Sequence[tuple[float, float, str, str]] = (
         (LEFT_PX, bottom + 18, _mm(across_m[0]), "start"),
@@ -153,12 +162,12 @@ def _label_axes(
 
 
 def _mm(value_m: float) -> str:
-    """Return a length in millimetres with a true minus sign."""
+    """Return the text of a length in millimetres, with a typographic minus sign."""
     return f"{1e3 * value_m:.0f}".replace("-", "\u2212")
 
 
 def key_of(scale: Scale) -> str:
-    """Return an ``<svg>`` of the classes, which is the key below the maps."""
+    """Return an ``<svg>`` with the legend of the classes."""
     width = sum(40 + 8 * len(label) for label in scale.words)
     root = Element("svg", {"viewBox": f"0 0 {width} 18", "width": str(width), "height": "18"})
     root.set("aria-hidden", "true")

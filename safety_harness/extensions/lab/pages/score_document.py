@@ -1,4 +1,7 @@
-"""``evaluation.json``: all results of a session of scoring, for programs; in SI, with units in the names."""
+"""Write all results of a scoring session as JSON for other programs, in the file evaluation.json.
+
+All values are in SI units, and the names of the fields include the units.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,11 @@ NAMES = {  # names of the figures in a scorecard's tuples
 
 
 def document(scored: Scored) -> str:
-    """Return the text of the file; only ``times`` has measured times, so that all other parts repeat."""
+    """Return the text of the file.
+
+    Only the field ``times`` depends on measured times.  All other fields are the same if the session is
+    repeated.
+    """
     whole = {
         "schema": SCHEMA,
         "package_version": installed_version(),
@@ -48,7 +55,7 @@ def document(scored: Scored) -> str:
 
 
 def sentence(scored: Scored) -> str:
-    """Return the result of the session in one sentence."""
+    """Return a sentence that summarises the result of the session."""
     count = sum(len(region.questions) for entry in scored.avoiders for region in entry.card.regions)
     names = ", ".join(entry.card.avoider for entry in scored.avoiders)
     text = f"{count:,} questions" + f" beside {scored.against}" * bool(scored.against)
@@ -67,7 +74,7 @@ def sentence(scored: Scored) -> str:
 
 
 def _of_avoider(scored: ScoredAvoider) -> dict[str, Any]:
-    """Return the results of one avoider; the searches are separate from the card."""
+    """Return the results of one avoider; the results of searches are separate from the score card."""
     return {
         "reference": scored.reference,
         "sha256": scored.sha256 or None,
@@ -94,14 +101,14 @@ def _of_avoider(scored: ScoredAvoider) -> dict[str, Any]:
 
 
 def _of_card(card: Scorecard) -> dict[str, Any]:
-    """Return a card without its times."""
+    """Return a score card as data for JSON, without its times."""
     content: dict[str, Any] = _plain(card)
     content.pop("times")
     return content
 
 
 def _of_worst(shown: ShownQuestion) -> dict[str, Any]:
-    """Return a worst question with its claims."""
+    """Return a worst question and the claims in its scenario as data for JSON."""
     file = shown.file
     return {
         "objective": shown.objective.value,
@@ -112,7 +119,10 @@ def _of_worst(shown: ShownQuestion) -> dict[str, Any]:
 
 
 def _plain(value: Any, name: str = "") -> Any:
-    """Return a value for JSON: NaN and infinity become null; arrays of questions and answers are omitted."""
+    """Return a value as data for JSON.
+
+    NaN and infinity become null.  The result omits arrays of questions and answers.
+    """
     if isinstance(value, Question):
         value = {key: part for key, part in value._asdict().items() if key != "limit_s"}
     if is_dataclass(value) and not isinstance(value, type):

@@ -43,6 +43,7 @@ FAR = Scale(
     (0.01, 0.02, 0.04, 0.06),
     ("under 10 mm off", "10 to 20 mm", "20 to 40 mm", "40 to 60 mm", "60 mm and more"),
 )
+# The first limit separates a share of 0 from any larger share.
 TOWARDS = Scale(
     (1e-9, 0.1, 0.5), ("0 % lead towards the hand", "under 10 %", "10 to 50 %", "half or more"), shares=True
 )
@@ -50,7 +51,7 @@ TOWARDS = Scale(
 
 @dataclass(frozen=True, kw_only=True)
 class ScoreEvidence:
-    """The content of the page; ``command`` repeats the session."""
+    """The content of the page; ``command`` is the command line that repeats the session."""
 
     scored: Scored
     command: str
@@ -58,7 +59,7 @@ class ScoreEvidence:
 
 
 def render(evidence: ScoreEvidence) -> str:
-    """Return the page as text; the same evidence gives the same bytes."""
+    """Return the text of the page, which depends only on ``evidence``."""
     scored = evidence.scored
     return render_page(
         "score.html.j2",
@@ -79,7 +80,7 @@ def render(evidence: ScoreEvidence) -> str:
 
 
 def _section(scored: ScoredAvoider, number: int) -> dict[str, object]:
-    """Return the page's content about one avoider."""
+    """Return the page's content for one avoider."""
     card, cards = scored.card, [scored.card, *scored.yardsticks]
     return {
         "id": f"avoider-{number}",
@@ -105,7 +106,10 @@ def _section(scored: ScoredAvoider, number: int) -> dict[str, object]:
 
 
 def _description(score: RegionScore) -> str:
-    """Return the description of a region, with the median and rms distance of answers to the optimum."""
+    """Return the description of a region.
+
+    It includes the median and the RMS of the distances from the answers to the optimum.
+    """
     if score.off_m is None or score.off_rms_m is None:
         return score.about
     median, rms = interval(score.off_m[0]), interval(score.off_rms_m)
@@ -113,13 +117,17 @@ def _description(score: RegionScore) -> str:
 
 
 def _maps(score: RegionScore, settings: Settings, prefix: str) -> Iterator[tuple[str, str, Markup]]:
-    """Yield the caption, quantity and drawing of each map: of hands and TCPs, in two views and two scales."""
+    """Yield the caption, the quantity and the drawing of each map of a region.
+
+    There are eight maps: for each of two quantities, the positions of hands and of TCPs in two views.
+    """
     posed = score.questions
     hands, tcps, answers = posed.hands_in_base_m, posed.tcps_in_base_m, score.answers.positions_in_base_m
     if len(posed) == 0:
         return
     error_m = off_m(answers, optimum_in_base_m(settings, hands, tcps))
     gained = gained_m(hands, tcps, answers)
+    # A missing answer counts as one towards the hand.
     towards = np.where(np.isnan(gained), 1.0, gained < 0.0)
     maps: tuple[tuple[str, np.ndarray, Scale], ...] = (("off", error_m, FAR), ("towards", towards, TOWARDS))
     for name, values, scale in maps:
@@ -139,7 +147,7 @@ def _map(
     who: str,
     region: str,
 ) -> tuple[str, str, Markup]:
-    """Return the caption, quantity and drawing of one map."""
+    """Return the caption, the quantity and the drawing of one map."""
     caption = f"{who}, {view[2]}"
     quantity = "towards the hand" if scale.shares else "off the optimum"
     title = f"{region}: {quantity}, by the position of the {who}, {view[2]}"
@@ -147,7 +155,7 @@ def _map(
 
 
 def _worst_row(number: int, shown: ShownQuestion) -> dict[str, object]:
-    """Return the row of the page about one worst question."""
+    """Return the values in the page's table row for one worst question."""
     tried, file = shown.tried, shown.file
     return {
         "number": number,
@@ -165,7 +173,7 @@ def _worst_row(number: int, shown: ShownQuestion) -> dict[str, object]:
 
 
 def _run_command(scored: ScoredAvoider) -> str:
-    """Return the command that runs all files of the worst questions."""
+    """Return the command line that runs the scenario files of all worst questions."""
     paths: list[Path] = [shown.file.path for shown in scored.worst if shown.file.path is not None]
     return (
         shlex.join(["safety-harness", "run", *(str(display_path(path)) for path in paths)]) if paths else ""

@@ -1,4 +1,7 @@
-"""Scorecards as rows of text, for the terminal and the page: millimetres, per cent, degrees."""
+"""Write score cards as text rows of tables, for the terminal and the page.
+
+The units are millimetres, per cent and degrees.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +47,7 @@ DETAILS = (
 
 @dataclass(frozen=True)
 class ScoreRow:
-    """The row of one avoider in one region; ``yardstick`` marks the row of a yardstick."""
+    """A table row about one avoider in one region; ``yardstick`` is True if it is a reference avoider."""
 
     region: str
     avoider: str
@@ -55,11 +58,13 @@ class ScoreRow:
 def rows_of(
     cards: Sequence[Scorecard], cells: Callable[[RegionScore, Sequence[Jumps]], tuple[str, ...]]
 ) -> Iterator[ScoreRow]:
-    """Yield the rows of each region, in the order of the first card: the avoider's, then the yardsticks'.
+    """Yield the table rows, region by region, in the order of the regions in the first card.
+
+    In each region, the avoider's row precedes the rows of the yardsticks.
 
     Args:
-        cards: The cards; the first is the avoider's card.
-        cells: Returns the cells of a row.
+        cards: The avoider's card, followed by the cards of the yardsticks.
+        cells: A function that returns the cells of a row.
 
     """
     for region in cards[0].regions if cards else ():
@@ -75,7 +80,10 @@ OFTEN_TOWARDS = 0.20  # the largest share in a region for green: twice the optim
 
 
 def most_towards(card: Scorecard) -> tuple[float, str]:
-    """Return the largest share of proposals towards the hand, and its region; NaN without any proposal."""
+    """Return the largest fraction of proposals towards the hand in any region, and the region's name.
+
+    The fraction is NaN if the avoider made no proposal.
+    """
     known = [
         (1.0 - score.leads_away.share, score.region)
         for score in card.regions
@@ -85,9 +93,9 @@ def most_towards(card: Scorecard) -> tuple[float, str]:
 
 
 def towards_words(card: Scorecard) -> str:
-    """Return in words which region has the largest share of proposals towards the hand, and the share.
+    """Return a sentence about the region with the largest fraction of proposals towards the hand.
 
-    The yardsticks' shares have no effect.
+    The sentence does not depend on the yardsticks.
     """
     share, region = most_towards(card)
     if math.isnan(share):
@@ -97,12 +105,18 @@ def towards_words(card: Scorecard) -> str:
 
 
 def is_green(card: Scorecard) -> bool:
-    """Return whether so few proposals lead towards the hand, in every region, that the page shows green."""
+    """Return True if the page may show the result in green.
+
+    This requires that only few proposals lead towards the hand in each region.
+    """
     return most_towards(card)[0] <= OFTEN_TOWARDS  # False for NaN
 
 
 def figures(score: RegionScore, jumps: Sequence[Jumps]) -> tuple[str, ...]:
-    """Return the cells of ``COLUMNS`` for the ``score`` and the ``jumps`` of one region."""
+    """Return the cells of the columns ``COLUMNS`` in the row of one region.
+
+    The numbers come from the ``score`` and the ``jumps`` of this region.
+    """
     return (
         percent(score.answered),
         percent(score.leads_away),
@@ -117,7 +131,10 @@ def figures(score: RegionScore, jumps: Sequence[Jumps]) -> tuple[str, ...]:
 
 
 def details(score: RegionScore, jumps: Sequence[Jumps]) -> tuple[str, ...]:
-    """Return the cells of ``DETAILS`` for the ``score`` of one region; ``jumps`` have no effect."""
+    """Return the cells of the columns ``DETAILS`` in the row of one region.
+
+    The numbers come from the ``score`` of this region. The function does not use ``jumps``.
+    """
     spreads = score.spreads
     shares = (
         NONE
@@ -136,12 +153,12 @@ def details(score: RegionScore, jumps: Sequence[Jumps]) -> tuple[str, ...]:
 
 
 def _diagonal(matrix: tuple[tuple[float, ...], ...] | None) -> str:
-    """Return the diagonal of a matrix as text."""
+    """Return a text with the numbers on the diagonal of a matrix."""
     return NONE if matrix is None else with_minus(" ".join(f"{matrix[k][k]:.2f}" for k in range(3)))
 
 
 def jump_words(jumps: Sequence[Jumps]) -> str:
-    """Return the largest of a region's ``jumps`` in words; a dash if the score searched for no jumps."""
+    """Return a text with the largest jump in a region, or a dash if there was no search for jumps."""
     if not jumps:
         return NONE
     changes = [moved.largest.change_m for moved in jumps if moved.largest is not None]
@@ -149,7 +166,7 @@ def jump_words(jumps: Sequence[Jumps]) -> str:
 
 
 def change_words(change: AnswerChange) -> str:
-    """Return the place and the size of a change in words."""
+    """Return a text with the position and the size of a change of the answer."""
     hand, tcp = change.before.hand_position_in_base_m, change.before.tcp_position_in_base_m
     return (
         f"{mm(change.change_m)} mm where {change.moved.value} moves {1e3 * change.apart_m:.3g} mm, at the "
@@ -158,7 +175,7 @@ def change_words(change: AnswerChange) -> str:
 
 
 def repeat_words(repeat: AskedAgain) -> str:
-    """Return in words whether the answers were the same a second time."""
+    """Return a text that states whether the second answers were the same as the first answers."""
     if repeat.differ == 0:
         return f"the same bits, {repeat.questions:,} questions"
     size = f" by {mm(repeat.largest_m)} mm at most" if np.isfinite(repeat.largest_m) else ", some unanswered"
@@ -166,7 +183,7 @@ def repeat_words(repeat: AskedAgain) -> str:
 
 
 def times_words(card: Scorecard) -> str:
-    """Return the answer times on this machine, with the declared time and the deadline."""
+    """Return a text with the answer times on this machine, the declared time and the deadline."""
     if card.times is None:
         return ""
     times = card.times
@@ -180,7 +197,7 @@ def times_words(card: Scorecard) -> str:
 
 
 def interval(figure: Figure, per_si: float = 1e3) -> str:
-    """Return the text of a figure and its interval, multiplied by ``per_si``."""
+    """Return a text with a value and its interval, both multiplied by ``per_si``."""
     shown = f"{per_si * figure.value:.1f}"
     if np.isfinite(figure.low) and np.isfinite(figure.high):
         shown += f" [{per_si * figure.low:.1f}, {per_si * figure.high:.1f}]"
@@ -188,7 +205,10 @@ def interval(figure: Figure, per_si: float = 1e3) -> str:
 
 
 def mm(length_m: float | None) -> str:
-    """Return a length in millimetres, with one decimal below 99.5 mm; a dash for None, NaN or infinity."""
+    """Return the text of a length in millimetres, or a dash for None, NaN or infinity.
+
+    A length below 99.5 mm has one decimal.
+    """
     if length_m is None or not np.isfinite(length_m):
         return NONE
     shown = 1e3 * length_m
@@ -196,10 +216,13 @@ def mm(length_m: float | None) -> str:
 
 
 def percent(part: Proportion | None) -> str:
-    """Return a share in per cent, which is 0 % only for none and 100 % only for all; a dash for None."""
+    """Return the text of a fraction in per cent, or a dash for None.
+
+    The text is "0 %" only if the count is 0, and "100 %" only if it equals the number of trials.
+    """
     return NONE if part is None else share_words(part.count, part.trials)
 
 
 def _percent(share: float) -> str:
-    """Return a share in whole per cent."""
+    """Return the text of a fraction, rounded to whole per cent."""
     return f"{100 * share:.0f} %"

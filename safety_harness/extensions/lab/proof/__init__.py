@@ -1,1 +1,1 @@
-"""Proofs about networks: claims about every question of a region, in the program's own arithmetic."""
+"""Prove claims about all answers of a network on a region of inputs, including the effects of rounding."""

@@ -1,7 +1,7 @@
-"""The certificate of proofs: JSON with the claims, the network's hash, and the tree that shows each claim.
+"""Write and read certificates: JSON with the claims, the network's hash, and the tree that proves each claim.
 
-A tree is stored as its codes, level by level, one byte each, compressed, in base64.  ``check.py`` reads the
-same file with independent code.
+A certificate contains the codes of a tree, level by level, with one byte for each code.  The bytes are
+compressed and encoded in base64.  The independent program ``check.py`` reads the same file.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from safety_harness.extensions.lab.proof.tree import BoxTree
 from safety_harness.scenario.typed_json import of_format, read_json
 
 FORMAT = "safety-harness certificate 1"
-MOST_NODES = 2**28
+MOST_NODES = 2**28  # a limit of the memory for a damaged or forged certificate, the same as in check.py
 KINDS = {
     ClaimKind.AT_MOST: "at most",
     ClaimKind.AT_LEAST: "at least",
@@ -40,7 +40,10 @@ KINDS = {
 
 
 def outward(shares: tuple[float, float, float]) -> tuple[str, str, str]:
-    """Return the shares in per cent, rounded outwards: proven down, refuted and undecided up."""
+    """Return the fractions in per cent.
+
+    The function rounds the proven fraction down, and the refuted and undecided fractions up.
+    """
     proven, *rest = (1e6 * share for share in shares)
     refuted, undecided = (f"{ceil(share) / 1e4:.4f}%" for share in rest)
     return f"{floor(proven) / 1e4:.4f}%", refuted, undecided
@@ -51,7 +54,7 @@ NO_PAIR = "no pair"
 
 @dataclass(frozen=True)
 class WrongQuestion:
-    """A question in the base frame [m] to which the network's answer violates the claim."""
+    """An input for which the network's answer violates the claim; positions are in the base frame [m]."""
 
     hand_in_base_m: Vector3
     tcp_in_base_m: Vector3
@@ -59,7 +62,10 @@ class WrongQuestion:
 
 @dataclass(frozen=True, eq=False)
 class Proof:
-    """The proof of a claim so far: its tree, and a question that the network answers wrongly, if known."""
+    """The current state of the proof of a claim.
+
+    ``question`` is an input that the network answers wrongly, or None if no such input is known.
+    """
 
     planned: PlannedProof
     tree: BoxTree
@@ -67,9 +73,13 @@ class Proof:
 
     @property
     def least_shares(self) -> tuple[float, float, float]:
-        """The shares of the claimed region: at least so much proven, at most so much refuted and undecided.
+        """Bounds of the proven, refuted and undecided fractions of the claimed region.
 
-        An undecided box counts as a whole, even if some of its pairs are not within ``apart_m``.
+        The first number is a lower bound of the proven fraction.  The other two numbers are upper bounds of
+        the refuted and undecided fractions.
+
+        They include the whole volume of an undecided box, even if some of its pairs do not satisfy
+        ``apart_m``.
         """
         shares, whole = self.tree.shares(), self.planned.region.counted_share
         if not whole > 0.0:
@@ -80,15 +90,15 @@ class Proof:
 
     @property
     def is_open(self) -> bool:
-        """Whether a part of the region is refuted or undecided."""
+        """Whether the claim is refuted or undecided."""
         return self.verdict not in ("proven", NO_PAIR)
 
     @property
     def verdict(self) -> str:
-        """The verdict on the claim; it is ``no pair`` if the region has no question, and the claim is empty.
+        """The verdict on the claim, which is ``no pair`` if the region contains no input.
 
-        Otherwise it is ``refuted`` if a question refutes the claim, and ``proven`` if every box is proven or
-        outside.  In all other cases it is ``undecided``.
+        If an input is known that violates the claim, the verdict is ``refuted``.  If every box is proven or
+        outside the region, the verdict is ``proven``.  In all other cases the verdict is ``undecided``.
         """
         if not self.planned.region.has_pair:
             return NO_PAIR
@@ -105,7 +115,7 @@ def model_hash(plan: ProofPlan) -> str:
 
 
 def write_certificate(path: Path, plan: ProofPlan, proofs: list[Proof]) -> dict[str, Any]:
-    """Write a certificate, whole or not at all.
+    """Write a certificate to a file atomically.
 
     Args:
         path: The file.
@@ -152,11 +162,11 @@ def _identity(planned: PlannedProof) -> dict[str, Any]:
 
 
 def taken_up(path: Path, plan: ProofPlan) -> list[Proof]:
-    """Return the proofs in a certificate, so that work on them can continue.
+    """Read the proofs in a certificate, so that ``continue_proofs`` can continue them.
 
     Args:
         path: The certificate's file.
-        plan: The plan to which the certificate has to belong.
+        plan: The plan to which the certificate must belong.
 
     Raises:
         InputError: The certificate belongs to another plan or network, or is invalid.
@@ -183,7 +193,7 @@ def read_proofs(content: Mapping[str, Any], path: Path) -> list[Proof]:
 
     Args:
         content: The certificate as JSON.
-        path: The certificate's file, for errors.
+        path: The certificate's file, for error messages.
 
     Raises:
         InputError: A field is invalid.
@@ -196,7 +206,7 @@ def read_proofs(content: Mapping[str, Any], path: Path) -> list[Proof]:
 
 
 def _planned(entry: Mapping[str, Any]) -> PlannedProof:
-    """Return the claim and region of a certificate's entry."""
+    """Return the claim and the region in an entry of a certificate."""
     kinds = {name: kind for kind, name in KINDS.items()}
     region: dict[str, Any] = {
         key: tuple(map(float, value)) for key, value in entry["region"].items() if key != "name"
@@ -206,11 +216,13 @@ def _planned(entry: Mapping[str, Any]) -> PlannedProof:
 
 
 def _proof(entry: Mapping[str, Any], planned: PlannedProof, path: Path) -> Proof:
-    """Return the proof of a certificate's entry; raise InputError if its tree is invalid."""
+    """Return the proof in an entry of a certificate, and raise InputError if the tree is invalid."""
     levels, count = [], 1
     try:
         packed = base64.b64decode(entry["tree"], validate=True)
         codes = np.frombuffer(zlib.decompressobj().decompress(packed, MOST_NODES), np.uint8).copy()
+        # Each level has twice as many nodes as the previous level halves, so the counts also detect a cut
+        # tree.
         while count:
             level, codes = codes[:count], codes[count:]
             if len(level) < count or level.max() > OUTSIDE:

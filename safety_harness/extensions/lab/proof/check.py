@@ -1,12 +1,12 @@
-"""An independent check of a certificate of ``prove``, with numpy alone; ONNX files need ONNX's reference too.
+"""Check a certificate of ``prove`` independently, with numpy; ONNX files also need ONNX's reference.
 
-Run: python check.py CERTIFICATE MODEL. It bounds answers p to hands h and TCPs t in the boxes called proven
-or refuted, and confirms or refuses these. A network is a list of steps (name, inputs, weight, bias, size of
-the bias's terms), or (name, inputs) for a ReLU. A bound is a form (centre, symbols, slack). A ReLU with l < 0
-< u becomes s z + b +- b, s = u / (u - l), b = -s l / 2. A sum of n terms errs by at most (n + 17) u of their
-sizes; u exceeds 2^-24 for ONNX files, else 2^-53. Claims hold with MARGIN. The optimum is t + 0.1 d + 0.05 (t
-- h), d the direction of v = DESIRED - t or the nearest on the rim of cone CONE about AXIS. Its derivative by
-v is (1 - d d^T) / |v|, its second derivative at most 2 / (sqrt(3) |v|^2).
+Run: python check.py CERTIFICATE MODEL. The program bounds the answers p to hands h and TCPs t in the proven
+and refuted boxes. A network is a list of steps (name, inputs, weight, bias, magnitude of the bias's terms),
+or (name, inputs) for a ReLU. A bound is a form (centre, symbols, slack). A ReLU with l < 0 < u becomes s z +
+b +- b, with s = u / (u - l) and b = -s l / 2. The error of a sum of n terms is at most (n + 17) u times their
+magnitudes. For ONNX files u exceeds 2^-24, else 2^-53. Confirmed bounds keep a MARGIN. The optimum is t + 0.1
+d + 0.05 (t - h). Here d is the direction of v = DESIRED - t, or the nearest direction in the cone CONE about
+AXIS. The derivative of d is (1 - d d^T) / |v|; the second is at most 2 / (sqrt(3) |v|^2).
 """
 
 import base64
@@ -31,13 +31,13 @@ NORM, LEGAL = "BatchNormalization", {"training_mode": (0,), "to": (1, 11)}  # no
 
 
 def need(held: bool | np.bool_, message: str) -> None:
-    """Raise ValueError with ``message`` unless ``held``."""
+    """Raise ValueError with ``message`` if ``held`` is False."""
     if not held:
         raise ValueError(message)
 
 
 def network_of(data: bytes) -> tuple[list[Any], float, float]:
-    """Return steps, u and the spread's threshold; a perceptron's last steps are its mean and deviations."""
+    """Return the steps, u and the spread's threshold; a perceptron's last steps give mean and deviations."""
     if data[8:9] != b"{":
         return onnx_steps(data), SINGLE, np.nan
     tensors = json.loads(data[8 : (start := 8 + int.from_bytes(data[:8], "little"))])
@@ -59,7 +59,7 @@ def network_of(data: bytes) -> tuple[list[Any], float, float]:
 
 
 def onnx_steps(data: bytes) -> list[Any]:
-    """Return the steps of a file; affine maps are the reference's outputs for 0 and for unit vectors."""
+    """Return the steps of a file; ONNX's reference computes the affine maps from 0 and unit vectors."""
     import onnx.reference
 
     evaluator: Any = onnx.reference.ReferenceEvaluator
@@ -90,7 +90,7 @@ def onnx_steps(data: bytes) -> list[Any]:
 
 
 def forms_of(steps: list[Any], u: float, centre: Array, half: Array) -> Any:
-    """Return the forms (n, w), (n, k, w), (n, w) of all steps by name, in ``centre`` +- ``half`` (n, 6)."""
+    """Return the form of each step in ``centre`` +- ``half`` (n, 6), shapes (n, w), (n, k, w), (n, w)."""
     whole = centre, half[:, :, None] * np.eye(6), u * (u > DOUBLE) * (np.abs(centre) + half)  # as float32
     forms: Any = {name: [x[..., p] for x in whole] for name, p in ((HAND, slice(3)), (TCP, slice(3, 6)))}
     for out, own, *affine in steps:
@@ -114,14 +114,14 @@ def forms_of(steps: list[Any], u: float, centre: Array, half: Array) -> Any:
 
 
 def lengths(c: Array, g: Array, r: Array) -> tuple[Array, Array]:
-    """Return bounds (n,) of |c + d|, where d is symbols and slack, from the part along c and the square."""
+    """Return lower and upper bounds of |c + d|, shape (n,); d is the sum of symbols and slack."""
     norm, wide = np.linalg.norm(c, axis=1), np.linalg.norm(np.abs(g).sum(axis=1) + r, axis=1)
     dot = np.abs(np.einsum("nki,ni->nk", g, c)).sum(axis=1) + (r * np.abs(c)).sum(axis=1)
     return norm - dot / np.maximum(norm, 1e-30), np.sqrt(norm**2 + 2.0 * dot + wide**2)
 
 
 def off_optimum(centre: Array, half: Array, q: Array, g: Array, r: Array) -> tuple[Array, Array]:
-    """Return bounds (n,) of |p - o|; ``q``, ``g``, ``r`` are the form of p - t in ``centre`` +- ``half``."""
+    """Return bounds of |p - o| in ``centre`` +- ``half``; the form of p - t is (``q``, ``g``, ``r``)."""
     gap, cos, rho = DESIRED - centre[:, 3:], np.cos(CONE), np.linalg.norm(half[:, 3:], axis=1)
     least, most = np.full(len(q), np.inf), np.zeros(len(q))
     rim = -1.0, EYE - np.outer(AXIS, AXIS), RADIUS * np.sin(CONE), RADIUS * cos
@@ -143,7 +143,7 @@ def off_optimum(centre: Array, half: Array, q: Array, g: Array, r: Array) -> tup
 
 
 def products(q: Array, w: Array, half: Array, g: Array, r: Array) -> tuple[Array, Array]:
-    """Return bounds (n,) of (p - t) . (t - h), with centres ``q``, ``w`` (n, 3); p - t has ``g``, ``r``."""
+    """Return bounds of (p - t) . (t - h); ``q``, ``g``, ``r`` bound p - t, ``w`` and ``half`` bound t - h."""
     h = np.concatenate([-half[:, :3, None] * EYE, half[:, 3:, None] * EYE], axis=1)
     linear, both = np.einsum("nki,ni->nk", g, w), np.einsum("nki,nmi->nkm", g[:, :6], h)
     linear[:, :6] += np.einsum("nki,ni->nk", h, q)
@@ -156,7 +156,7 @@ def products(q: Array, w: Array, half: Array, g: Array, r: Array) -> tuple[Array
 
 
 def confirmed(claim: Any, low: Array, high: Array, code: int, steps: Any, u: float, doubt: float) -> Any:
-    """Return whether bounds confirm ``code`` for each box (n,) from ``low`` to ``high`` (n, 6)."""
+    """Return whether bounds confirm ``code`` in each of n boxes with the corners ``low``, ``high`` (n, 6)."""
     kind, limit, (least_m, far) = claim["kind"], claim["limit_m"], claim["region"]["apart_m"]
     half = np.maximum(high - (centre := (low + high) / 2.0), centre - low) * (1.0 + 1e-12)
     gap, wide = centre[:, 3:] - centre[:, :3], half[:, 3:] + half[:, :3]
@@ -182,7 +182,7 @@ def confirmed(claim: Any, low: Array, high: Array, code: int, steps: Any, u: flo
 
 @np.errstate(all="ignore")
 def check_claim(network: Any, claim: dict[str, Any]) -> str:
-    """Return a sentence about a claim that its tree shows; raise ValueError if the tree does not show it."""
+    """Check the tree of a claim, and return the confirmed result; raise ValueError if the tree is wrong."""
     kind, region, limit = claim["kind"], claim["region"], claim["limit_m"]
     corners = np.array([[[*region[f"hand_{c}_m"], *region[f"tcp_{c}_m"]]] for c in ("low", "high")])
     (low, high), shares, part = corners, dict.fromkeys(NAMES.values(), 0.0), 1.0
@@ -217,7 +217,7 @@ def check_claim(network: Any, claim: dict[str, Any]) -> str:
 
 
 def check(certificate: bytes, model: bytes) -> list[str]:
-    """Return a line for each confirmed claim; raise ValueError, or another exception, for any failure."""
+    """Return a line for each claim; raise ValueError or another exception if a claim is not confirmed."""
     need((doc := json.loads(certificate))["format"] == FORMAT and doc["claims"] != [], "no certificate")
     need(doc["model_sha256"] == hashlib.sha256(model).hexdigest(), "it is of another network")
     return [check_claim(network_of(model), claim) for claim in doc["claims"]]

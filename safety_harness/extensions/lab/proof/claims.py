@@ -1,14 +1,16 @@
-"""Provable claims about answers: each claim limits a quantity of one question and its answer.
+"""Define claims that a proof can decide.
 
-A question is a hand h and a TCP t, and its answer is p; all three are positions in the base frame [m].
+A claim limits a quantity that depends on one input and on the answer to this input. An input consists of a
+hand h and a TCP t, and the answer is p.  All three are positions in the base frame [m].
 
-* steps at most / at least D: |p - t| <= D, or >= D.
-* within E of the optimum: |p - o(h, t)| <= E.  Here o = t_opt + pull (t - h), with the continuous optimum of
-  ``cell.avoidance.candidates`` for the default settings.
-* uncertain or within E of the optimum: the same, or the spread over the members exceeds the network's own
-  threshold on an axis.  The gate refuses an answer with such a spread.
-* leads away: (p - t) . (t - h) >= 0.  Then the point of the straight path from t to p nearest to h is t.  The
-  reason: the squared distance along the path is convex, and it does not fall at the beginning of the path.
+* steps at most D: |p - t| <= D.
+* steps at least D: |p - t| >= D.
+* within E of the optimum: |p - o(h, t)| <= E.  Here o = t_opt + pull (t - h), where t_opt is the continuous
+  optimum of ``cell.avoidance.candidates`` for the default settings.
+* uncertain or within E of the optimum: the same limit, except for answers whose spread over the members
+  exceeds the network's threshold on an axis.  The gate refuses such answers.
+* leads away: (p - t) . (t - h) >= 0.  The point nearest to h on the straight path from t to p is then t,
+  because the squared distance along the path is convex and does not decrease at the start.
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ Floats = NDArray[np.float64]
 
 
 class ClaimKind(IntEnum):
-    """The kinds of claims; their numbers are part of the compiled kernel."""
+    """The kinds of claims; the compiled kernel uses the same numbers for them."""
 
     AT_MOST = 0
     AT_LEAST = 1
@@ -53,27 +55,29 @@ _PATTERNS = {
 
 @dataclass(frozen=True)
 class DecisionClaim:
-    """A kind of claim with its limit [m], which is 0 for ``AWAY``."""
+    """A claim about decisions: its kind and its limit [m], which is 0 for ``AWAY``."""
 
     kind: ClaimKind
     limit_m: float
 
     @property
     def sentence(self) -> str:
-        """The sentence of the claim in a plan."""
+        """The sentence that states the claim in a plan."""
         return _PATTERNS[self.kind].format(nice(self.limit_m, LENGTH))
 
     def margins(
         self, hands: ArrayNx3, tcps: ArrayNx3, answers: ArrayNx3, doubt_m: Floats | None = None
     ) -> Floats:
-        """Return the margins (n,) of answers, in m (for AWAY in m2); a negative margin is a violation.
+        """Return the margin of each answer, shape (n,), in m, or in m2 for AWAY.
+
+        A negative margin is a violation of the claim.
 
         Args:
             hands: (n, 3) the hands [m].
             tcps: (n, 3) the TCPs [m].
             answers: (n, 3) the answers [m].
-            doubt_m: (n,) the largest spread over the axes, less the network's threshold; None without a
-                spread.
+            doubt_m: (n,) the largest spread over the axes minus the network's threshold.  None means that the
+                network has no spread.
 
         """
         steps = answers - tcps
@@ -90,7 +94,10 @@ class DecisionClaim:
 
 
 class Answering(Protocol):
-    """An avoider that takes many questions; ``model`` is None unless it has this package's own model file."""
+    """An avoider that answers many inputs in one call.
+
+    ``model`` is None unless the avoider comes from a model file of this package.
+    """
 
     @property
     def model(self) -> Model | None:
@@ -99,16 +106,19 @@ class Answering(Protocol):
     def propose_many(
         self, hands_in_base_m: ArrayNx3, tcps_in_base_m: ArrayNx3, seeds: NDArray[np.uint64]
     ) -> tuple[ArrayNx3, ArrayNx3]:
-        """Return positions and spreads (n, 3) [m] for hands (n, 3), TCPs (n, 3) and seeds (n,)."""
+        """Return n positions and spreads, shape (n, 3) each [m].
+
+        Hands and TCPs have the shape (n, 3), and seeds have the shape (n,).
+        """
 
 
 def margins_of(avoider: Answering, claim: DecisionClaim, questions: Floats) -> Floats:
-    """Return the margins (n,) of the network's own answers to ``questions`` (n, 6).
+    """Return the margins of the network's answers to ``questions``, shape (n,).
 
     Args:
         avoider: The network.
         claim: The claim.
-        questions: Hands and TCPs in the base frame [m].
+        questions: (n, 6) hands and TCPs in the base frame [m].
 
     """
     hands, tcps = questions[:, :3], questions[:, 3:]
@@ -117,13 +127,16 @@ def margins_of(avoider: Answering, claim: DecisionClaim, questions: Floats) -> F
 
 
 def threshold_m(model: Model | None) -> float:
-    """Return the largest spread of an answer that the gate accepts; NaN if the network has no threshold."""
+    """Return the largest spread that the gate accepts, or NaN if the network has no threshold."""
     threshold = None if model is None or model.members == 1 else model.spread_threshold_m
     return np.nan if threshold is None else threshold
 
 
 def read_claim(field: Field) -> DecisionClaim:
-    """Return the claim that a sentence states; raise ScenarioError, with all sentences, if it is unknown."""
+    """Return the claim that a sentence states.
+
+    Raise ScenarioError for an unknown sentence; the error lists all known sentences.
+    """
     expected = ", ".join(pattern.format("80 mm") for pattern in _PATTERNS.values())
     text = " ".join(field.sentence(f"one of the claims: {expected}").split())
     for kind, pattern in _PATTERNS.items():
@@ -137,7 +150,11 @@ def read_claim(field: Field) -> DecisionClaim:
 
 
 def optimum_constants() -> Floats:
-    """Return the constants (10,) of the optimum: desired position, axis, radius, cosine, sine and pull."""
+    """Return the constants that define the optimum, shape (10,).
+
+    They are the desired position, the cone's axis, the radius, the cosine and sine of the cone's angle, and
+    the pull.
+    """
     cap = CandidateCap.from_settings(DEFAULTS)
     desired = DEFAULTS.cell.desired_tcp_position_in_base_m
     rest = (cap.radius_m, np.cos(cap.cone_rad), np.sin(cap.cone_rad), DEFAULTS.avoidance.hand_pull)

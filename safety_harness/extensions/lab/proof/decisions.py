@@ -1,12 +1,13 @@
-"""Robust decisions: whether a run's decision stays the same for every hand in a box about its own hand.
+"""Certify that a decision in a run would be the same for any hand position in a box around the hand.
 
-Two of the gate's checks depend only on the network's answer and on that hand.  Is the answer certain (its
-spread at most the threshold on every axis)?  Does its path lead away from the hand?  For a decision's own
-seed, a network with dropout is an ensemble of its passes, so the same proofs apply.  The TCP is exact.
+Two of the gate's checks depend only on the network's answer and on the hand.  The first check is whether the
+spread is at most the threshold on every axis.  The second check is whether the path leads away from the hand.
+For the seed of a decision, a network with dropout is an ensemble of its passes, so the same proofs apply.
+The certificate assumes that the position of the TCP is exact.
 
-First the network answers for the middle and the corners of the box.  If the result of a check differs there,
-a proof is impossible.  Then one cheap bound over the whole box (``CHEAP``) settles most decisions.  Tight
-bounds and halving settle the rest.
+First the network answers for the centre and the corners of the box.  If a check gives different results for
+these answers, a proof is impossible.  Otherwise a single coarse bound over the box (``CHEAP``) is sufficient
+for most decisions.  The remaining decisions need tighter bounds and halvings of the box.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from safety_harness.extensions.lab.proof.tree import BoxTree, examined_with_spre
 from safety_harness.trace.certified import CertifiedDecision, CertifiedDecisions, Sameness
 from safety_harness.trace.trace import Trace
 
-HALVINGS, HALVED_CHEAPLY = 4, 2
+HALVINGS, HALVED_CHEAPLY = 4, 2  # a choice: halvings of a box with the tight and with the cheap bound
 CHEAP = 3  # layers of a deep network over which slack grows before it becomes symbols
 PLACES = np.array([(0.0, 0.0, 0.0), *product((-1.0, 1.0), repeat=3)])
 AWAY = DecisionClaim(ClaimKind.AWAY, 0.0)
@@ -36,10 +37,10 @@ NO_ANSWER = CertifiedDecision(certain=Sameness.NONE, away=Sameness.NONE)
 
 
 def certified_decisions(trace: Trace, model: Model, sha256: str, half_m: float) -> CertifiedDecisions:
-    """Return the certificates of all decisions of a run, for hands within +- ``half_m`` along each axis.
+    """Return certificates of all decisions in a run, for hands within +- ``half_m`` along each axis.
 
-    A decision has no certificate if its answer was late or spoilt by a fault.  It also has no certificate if
-    its answer differs from the model's answer in any bit.
+    A decision has no certificate if its answer was late or if a fault altered the answer.  It also has no
+    certificate if its answer is not bit-identical to the model's answer.
 
     Args:
         trace: The run.
@@ -56,11 +57,11 @@ def certified_decisions(trace: Trace, model: Model, sha256: str, half_m: float) 
 
 
 def certified(avoider: LearnedAvoider, question: Question, half_m: float) -> CertifiedDecision:
-    """Return the certificate of the decision on one question with its seed.
+    """Return the certificate of the decision for one input and its seed.
 
     Args:
         avoider: The network.
-        question: The question.
+        question: The input.
         half_m: Half the size of the box of hands [m].
 
     """
@@ -68,6 +69,7 @@ def certified(avoider: LearnedAvoider, question: Question, half_m: float) -> Cer
     tcps = np.broadcast_to(question.tcp_position_in_base_m, hands.shape)
     answers, spreads = avoider.propose_many(hands, tcps, np.full(len(hands), question.seed, np.uint64))
     threshold_m, away = avoider.spread_threshold_m, AWAY.margins(hands, tcps, answers) >= 0.0
+    # Without dropout the seed has no effect, so a constant seed lets all decisions use the cached network.
     network = _network_of(avoider.model, 0 if avoider.model.dropout is Dropout.NONE else question.seed)
     region = ProofRegion.around(question.tcp_position_in_base_m, hands.min(axis=0), hands.max(axis=0))
     cheap = network._replace(gathers=network.gathers * CHEAP)
@@ -99,10 +101,13 @@ def _same(
     claim: DecisionClaim,
     region: ProofRegion,
 ) -> Sameness:
-    """Return whether ``claim`` is true for all questions of ``region`` or false for all of them.
+    """Return whether ``claim`` has the same truth value for all inputs in ``region``.
 
-    ``answers`` (n,) tell whether it is true for some of these questions.  ``known`` tells whether one bound
-    has already decided this for all of them.  Otherwise ``code`` may be the axis along which to halve.
+    If this remains unknown, the result is UNDECIDED.
+
+    ``answers`` contains the truth value of the claim for n of these inputs.  ``known`` is True if a bound
+    over the whole region has already proven or refuted the claim.  If ``known`` is False, ``code`` may be the
+    axis along which to halve the region.
     """
     if answers.min() != answers.max():
         return Sameness.OTHER
@@ -111,6 +116,7 @@ def _same(
     tree = BoxTree()
     if code < PROVEN:
         tree = BoxTree([np.array([code], np.uint8), np.full(2, UNDECIDED, np.uint8)])
+    # The cheap bound may decide some halves, so that only the others need the tight bound.
     for bounded, halvings in ((cheap, HALVED_CHEAPLY), (network, HALVINGS)):
         work(tree, bounded, claim, region, halvings=halvings, until_s=np.inf)
     shares = tree.shares()

@@ -1,7 +1,8 @@
-"""Maps of the undecided and refuted parts of a region, in cells, seen from above and from the side.
+"""Compute maps of the undecided and refuted parts of a region, as seen from above and from the side.
 
-A cell holds all pairs whose hand (or TCP) lies in it, for any values of the other four coordinates.  Each
-cell has a digit.  It is the class of the undecided, or refuted, share of the claimed volume in the cell.
+A map is a grid of cells in two coordinates of the hand or of the TCP.  A cell contains all inputs with these
+two coordinates, for any values of the other four.  Each cell has a digit, which is the class of the undecided
+or refuted fraction of the claimed volume in the cell.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from safety_harness.extensions.lab.proof.box_kernel import PROVEN, REFUTED, UNDE
 from safety_harness.extensions.lab.proof.certificate import Proof
 
 Floats = NDArray[np.float64]
+# Cells of a side; leaves at a time, whose overlaps with the cells take 16 MB for each axis.
 CELLS, AT_ONCE = 20, 100_000
 VIEWS = ((0, 1, "from above"), (0, 2, "from the side"))  # across, up
 EDGES = (1e-9, 0.01, 0.1, 0.5)  # the least shares in the classes 1 to 4
@@ -24,10 +26,11 @@ NOTHING = "-"  # for a cell outside the claim
 
 @dataclass(frozen=True, kw_only=True)
 class BoxMap:
-    """A map; ``rows`` begin at the lowest ``up``, with a digit for each cell from the left.
+    """A map of the undecided or refuted part of a region.
 
-    A digit is the class of the share ``what``.  ``low_m`` and ``high_m`` are the map's corners, across and
-    up, in the base frame.
+    ``rows`` begins with the lowest row, and a row has a digit for each cell from left to right.  A digit is
+    the class of the fraction that ``what`` specifies (undecided or refuted).  ``low_m`` and ``high_m`` are
+    the lower left and the upper right corner of the map, in the base frame.
     """
 
     who: str
@@ -40,13 +43,16 @@ class BoxMap:
 
     @property
     def classes(self) -> NDArray[np.int64]:
-        """The classes (CELLS, CELLS), indexed by across and up; -1 for a cell outside the claim."""
+        """The class of each cell, or -1 for a cell that the claim does not concern, shape (CELLS, CELLS).
+
+        The first index is horizontal, and the second index is vertical.
+        """
         digits = [[-1 if digit == NOTHING else int(digit) for digit in row] for row in self.rows]
         return np.array(digits, np.int64).T
 
 
 def maps_of(proof: Proof) -> Iterator[BoxMap]:
-    """Yield the maps of hand and TCP, from above and from the side, for the undecided and refuted parts."""
+    """Yield eight maps: the undecided and refuted parts for hand and TCP, from above and from the side."""
     low, high = (side[0] for side in proof.planned.region.corners())
     for who, first in (("hand", 0), ("TCP", 3)):
         for across, upward, seen in VIEWS:
@@ -55,6 +61,7 @@ def maps_of(proof: Proof) -> Iterator[BoxMap]:
             whole = sum(volumes.values())
             for part, code in (("undecided", UNDECIDED), ("refuted", REFUTED)):
                 shares = np.round(volumes[code] / np.where(whole > 0.0, whole, 1.0), 12)
+                # Class 0 means none: a fraction below 1e-9 is a rounding error.
                 classes = np.searchsorted(EDGES, shares, side="right")
                 texts = np.where(whole > 0.0, classes.astype(str), NOTHING)
                 yield BoxMap(
@@ -69,7 +76,10 @@ def maps_of(proof: Proof) -> Iterator[BoxMap]:
 
 
 def _volumes(proof: Proof, code: int, axes: tuple[int, int]) -> Floats:
-    """Return how much of each cell (CELLS, CELLS) the leaves with ``code`` fill, as shares of the region."""
+    """Return the volume of the leaves with ``code`` in each cell, shape (CELLS, CELLS).
+
+    The volumes are relative to the volume of the region.
+    """
     region = proof.planned.region
     whole, volumes = region.corners(), np.zeros((CELLS, CELLS))
     for level, (low, high) in enumerate(proof.tree.leaves(region, code)):
@@ -84,7 +94,10 @@ def _volumes(proof: Proof, code: int, axes: tuple[int, int]) -> Floats:
 
 
 def _overlaps(low: Floats, high: Floats, start: float, end: float) -> Floats:
-    """Return the share (n, CELLS) of each interval (n,) that lies in each cell from ``start`` to ``end``."""
+    """Return the fraction of each interval that lies in each cell, shape (n, CELLS).
+
+    There are n intervals from ``low`` to ``high``.  The cells divide the range from ``start`` to ``end``.
+    """
     edges = np.linspace(start, end, CELLS + 1)
     inside = np.minimum(high[:, None], edges[1:]) - np.maximum(low[:, None], edges[:-1])
     shares: Floats = np.maximum(inside, 0.0) / (high - low)[:, None]

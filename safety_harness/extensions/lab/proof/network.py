@@ -1,14 +1,17 @@
-"""Any ReLU network as layers, each an affine map of earlier layers, with bounds of its program's rounding.
+"""Represent a ReLU network as a list of layers, each with bounds of its rounding errors.
 
-A layer is z = b + sum_s W_s a_s, followed by a = relu(z).  The sources a_s are the question (s = 0) or
-earlier layers, *with the values that the program computed*.  The last layer is the answer, without a ReLU.
-W contains everything between two ReLUs (batch norm, residual sums, normalisation).  ``AffineForm`` carries an
-error bound E_s for each W_s: the program's value deviates by at most sum_s E_s |a_s|.  A ReLU does not round,
-so errors do not add up over layers here.  The kernel that bounds the network treats them as slack.
+Before its ReLU, a layer is an affine map of earlier layers. A layer is z = b + sum_s W_s a_s, followed by a =
+relu(z). The sources a_s are the input (s = 0) and earlier layers, *with the rounded values that the program
+computed*. The last layer is the answer and has no ReLU. W combines all affine operations between two ReLUs
+(batch normalisation, residual sums, normalisation). ``AffineForm`` contains an error bound E_s for each W_s:
+the program's value of z deviates by at most sum_s E_s |a_s|. The bounds do not accumulate errors of earlier
+layers, because the sources are rounded values. A ReLU adds no rounding error. The kernel that bounds the
+network treats the errors as slack.
 
-If a program with the unit roundoff u adds n terms, its error is at most gamma times the terms' magnitudes.
-Here gamma = n u / (1 - n u).  This holds in any order, with or without fused operations (Higham 2002, 3.1).
-``GUARD`` more terms cover any folding of weights by a runtime, and the rounding of W and E in this module.
+Let u be the unit roundoff of a program, and gamma = n u / (1 - n u).  If the program adds n terms, its error
+is at most gamma times the sum of their magnitudes.  This bound is valid for any order of the sum, with or
+without fused operations (Higham 2002, 3.1).  The module adds ``GUARD`` to n.  The larger n covers runtimes
+that combine weights before the computation.  It also covers the rounding errors of W and E in this module.
 """
 
 from __future__ import annotations
@@ -40,7 +43,7 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 CONSTANT, QUESTION = -1, 0  # sources; layers count from 1
-SINGLE, DOUBLE = 2.0**-24, 2.0**-53
+SINGLE, DOUBLE = 2.0**-24, 2.0**-53  # unit roundoffs of float32 and float64
 SHALLOW = 8  # layers
 GUARD, TINY = 16, 1e-30  # added terms; the largest loss by products below float32's least number
 LARGEST = 1e12  # the largest coefficient: with units below 1e8 no float32 sum overflows
@@ -49,10 +52,11 @@ LARGEST = 1e12  # the largest coefficient: with units below 1e8 no float32 sum o
 class ReluNetwork(NamedTuple):
     """A network of m members with the same shape, in contiguous arrays for compiled code.
 
-    Row i of ``blocks`` (n, 3) is (layer, source, start).  The matrix (inputs, outputs) of this block begins
-    at ``start`` in ``weight`` and ``error`` (m, N), row by row.  An empty ``error`` means 0.  Layers count
-    from 0 and sources from 1; source 0 is the question.  ``rounding`` times magnitudes bounds the rounding
-    errors of float64 in the bounds.
+    ``blocks`` has the shape (n, 3), and row i contains (layer, source, start). The matrix of this block has
+    the shape (inputs, outputs). Its rows begin at ``start`` in ``weight`` and ``error``, which have the shape
+    (m, N). An empty ``error`` means 0. The number of the first layer is 0, but as a source it has the number
+    1, because source 0 is the input. The rounding errors of float64 in the bounds themselves are at most
+    ``rounding`` times the magnitudes.
     """
 
     widths: Indices  # (layers,), the last of them OUTPUTS
@@ -67,11 +71,11 @@ class ReluNetwork(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class AffineForm:
-    """A value of the program as an affine form of its sources: ``CONSTANT``, the question and layers.
+    """A value in the program as an affine function of ``CONSTANT``, the input and earlier layers (sources).
 
-    ``value`` has a matrix (inputs, width) for each source.  The program's value deviates by at most
-    ``error``, of the same shape, times the sources' magnitudes.  If members differ, a matrix is (m, inputs,
-    width).
+    ``value`` has a matrix of shape (inputs, width) for each source, or of shape (m, inputs, width) if the m
+    members differ.  ``error`` has matrices of the same shapes.  The value in the program deviates by at most
+    ``error`` times the magnitudes of the sources.
     """
 
     value: Mapping[int, Floats]
@@ -90,24 +94,28 @@ class AffineForm:
 
     @property
     def is_shared(self) -> bool:
-        """Whether all members have the same form, whatever their masks."""
+        """Whether the form is the same for all members, independently of their masks."""
         return all(value.ndim == 2 or len(value) == 1 for value in self.value.values())
 
     @property
     def sizes(self) -> dict[int, Floats]:
-        """The largest magnitudes (inputs, width) of the coefficients by source, with their error."""
+        """Bounds of the coefficients' magnitudes, including errors.
+
+        The result has a matrix of shape (inputs, width) for each source.
+        """
         return {s: np.abs(value) + self.error[s] for s, value in self.value.items()}
 
     def linear(self, weight: Floats, bias: Floats, unit: float) -> AffineForm:
-        """Return the form after a layer with ``weight`` (width, outputs) and ``bias`` (outputs,).
+        """Return the form of the output of a layer that multiplies by ``weight`` and adds ``bias``.
 
         Args:
-            weight: The weights, with an axis of members in front if members differ.
-            bias: The bias, with an axis of members in front if members differ.
+            weight: (width, outputs) the weights, or (m, width, outputs) if the m members differ.
+            bias: (outputs,) the bias, or (m, outputs) if the m members differ.
             unit: The unit roundoff of the program.
 
         """
         size, bias = np.abs(weight), bias[..., None, :]
+        # One more term for the bias.  TINY covers products that underflow, which have no relative bound.
         part = gamma(weight.shape[-2] + 1, unit)
         value = {s: own @ weight for s, own in self.value.items()}
         error = {s: self.error[s] @ size + part * (own @ size) for s, own in self.sizes.items()}
@@ -116,12 +124,19 @@ class AffineForm:
         return AffineForm(value, error)
 
     def scaled(self, factors: Floats, unit: float) -> AffineForm:
-        """Return the form times ``factors`` (width,) or (m, width), rounded with the roundoff ``unit``."""
+        """Multiply the form by ``factors``, and return the product.
+
+        ``factors`` has the shape (width,) or (m, width). The program rounds the product with the unit
+        roundoff ``unit``.
+        """
         width = factors.shape[-1]
         return self.linear(factors[..., None] * np.eye(width), np.zeros(width), unit)
 
     def plus(self, second: AffineForm, unit: float) -> AffineForm:
-        """Return the sum with ``second``, of the same width, rounded with the roundoff ``unit``."""
+        """Return the sum of the form and ``second``, which has the same width.
+
+        The program rounds the sum with the unit roundoff ``unit``.
+        """
         part, value, error = gamma(2, unit), dict(self.value), dict(self.error)
         for s, own in self.sizes.items():
             error[s] = error[s] + part * own
@@ -132,13 +147,16 @@ class AffineForm:
 
 
 def gamma(terms: int, unit: float) -> float:
-    """Return the relative rounding bound of a sum of ``terms`` products: twice the checker's bound."""
+    """Return a bound of the relative rounding error of a sum of ``terms`` products.
+
+    The result is about twice the bound that the independent checker uses.
+    """
     part = 2.0 * (terms + GUARD) * unit
     return part / (1.0 - part)
 
 
 def joined(forms: Sequence[AffineForm]) -> AffineForm:
-    """Return one form with the outputs of all ``forms`` side by side."""
+    """Return a form whose outputs are the concatenated outputs of all ``forms``."""
     sources = dict.fromkeys(s for form in forms for s in form.value)
     height = {s: len(form.value[s]) for form in forms for s in form.value}
 
@@ -154,19 +172,25 @@ def joined(forms: Sequence[AffineForm]) -> AffineForm:
 
 
 def question(unit: float = 0.0) -> AffineForm:
-    """Return the form of hand and TCP [m], rounded to numbers with the unit roundoff ``unit``."""
+    """Return the form of the input (hand and TCP) [m].
+
+    The program rounds the input with the unit roundoff ``unit``.
+    """
     return AffineForm({QUESTION: np.eye(PERCEPTRON_INPUTS)}, {QUESTION: unit * np.eye(PERCEPTRON_INPUTS)})
 
 
 @dataclass(eq=False)
 class Layers:
-    """The ReLU layers of a network so far; layers of the same network in ``known`` are not computed again."""
+    """The ReLU layers of a network under construction.
+
+    ``known`` contains layers of the same network that need no new computation.
+    """
 
     forms: list[AffineForm] = field(default_factory=list)
     known: dict[int, AffineForm] = field(default_factory=dict)
 
     def relu(self, make: Callable[[], AffineForm]) -> AffineForm:
-        """Add a ReLU layer with the input that ``make`` returns, and return its outputs as a form."""
+        """Add a ReLU layer whose input is the result of ``make``, and return its output as a form."""
         form = self.known.get(len(self.forms)) or make()
         if form.is_shared:
             self.known[len(self.forms)] = form
@@ -176,16 +200,16 @@ class Layers:
 
 
 def packed(layers: Sequence[AffineForm], members: int = 1) -> ReluNetwork:
-    """Return the network of ``layers``, of which the last is the answer [m].
+    """Return the network that consists of ``layers``; the last layer is the answer [m].
 
-    All ``members`` share a form that has no axis of members.
+    A form without an axis of members applies to all ``members``.
     """
     pairs = [(k, s) for k, form in enumerate(layers) for s in sorted(form.value) if s != CONSTANT]
     sizes = [layers[k].value[s].shape[-2] * layers[k].width for k, s in pairs]
     starts = np.cumsum([0, *sizes])[:-1]
 
     def flat(parts: Iterable[Floats]) -> Floats:
-        """Return the parts (members, N) one after another, row by row."""
+        """Return the flattened parts, concatenated to an array of shape (members, N)."""
         rows = [part.reshape(-1, part.shape[-2] * part.shape[-1]) for part in parts]
         table, end = np.empty((members, sum(row.shape[1] for row in rows))), 0
         for row in rows:
@@ -211,9 +235,12 @@ def packed(layers: Sequence[AffineForm], members: int = 1) -> ReluNetwork:
 
 
 def network_of(model: Model, seed: int = 0) -> ReluNetwork:
-    """Return the network of a model file; passes of dropout are members, with the masks of ``seed``.
+    """Return the network of a model.
 
-    A perceptron computes in float64, like the bounds, so that ``rounding`` also covers its own rounding.
+    The passes of a network with dropout become members, whose masks ``seed`` determines.
+
+    A perceptron computes in float64, as the bounds do, so ``rounding`` also covers the perceptron's rounding
+    errors.
     """
     if model.kind != PERCEPTRON:
         return _resnet(model, seed)
@@ -232,14 +259,14 @@ def network_of(model: Model, seed: int = 0) -> ReluNetwork:
 
 @lru_cache(maxsize=1)
 def _folded(model: Model) -> tuple[FoldedNetwork, dict[int, AffineForm]]:
-    """Return the folded network, and a store for the layers that no mask changes."""
+    """Return the network with folded weights, and an empty cache for layers that do not depend on masks."""
     return fold(model), {}
 
 
 def _resnet(model: Model, seed: int) -> ReluNetwork:
-    """Return the network as ``cell.avoidance.resnet_kernel`` computes it in float32.
+    """Return a ResNet with bounds of the float32 rounding errors of ``cell.avoidance.resnet_kernel``.
 
-    The result has the same layers, shortcuts and dropout.
+    The result has the same layers, shortcuts and dropout as this kernel.
     """
     own, known = _folded(model)
     passes = own.passes if own.places else 1
@@ -264,6 +291,7 @@ def _resnet(model: Model, seed: int) -> ReluNetwork:
     for number in range(STAGES * BLOCKS):
         stage, inner = divmod(number, BLOCKS)
         x = block(x, stage * STAGE_LAYERS + 3 * inner + (inner > 0), inner=inner > 0)
+        # With a mask for each stage, the dropout follows the last block of the stage.
         if own.places == STAGES and inner == BLOCKS - 1:
             x = x.scaled(drop[stage], SINGLE)
     scale = own.scale_out.astype(float)[..., None] * np.eye(WIDTH)

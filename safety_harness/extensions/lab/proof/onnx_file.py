@@ -1,8 +1,9 @@
-"""An ONNX file as layers of ReLUs: perceptrons and residual networks; it refuses other operators by name.
+"""Read perceptrons and residual networks from ONNX files as ReLU layers, and refuse other operators.
 
-The program that answers is onnxruntime, in float32 or better.  The proof assumes that each operation rounds
-like float32.  It allows any order of sums, and any fusing or folding by the runtime.  The module ignores
-nodes that do not affect the answer (for example a spread).
+In a run, onnxruntime computes the answers, in float32 or better.  A proof assumes that each operation rounds
+at least as accurately as float32.  It remains valid if the runtime changes the order of sums, fuses
+operations or combines weights.  The module ignores nodes that do not affect the answer, such as those for a
+spread.
 """
 
 from __future__ import annotations
@@ -43,7 +44,10 @@ FLOAT_TYPES = (1, 11)  # TensorProto's float and double
 
 @dataclass(frozen=True, eq=False)
 class OnnxFunction:
-    """The function of an ONNX file: onnxruntime answers one question at a time in its own process."""
+    """The function in an ONNX file.
+
+    It runs in onnxruntime in a separate process, which evaluates one input at a time.
+    """
 
     avoider: IsolatedAvoider
     model = None  # so that there is no threshold of the spread
@@ -51,9 +55,11 @@ class OnnxFunction:
     def propose_many(
         self, hands_in_base_m: Floats, tcps_in_base_m: Floats, seeds: NDArray[np.uint64]
     ) -> tuple[Floats, Floats]:
-        """Return positions (n, 3) [m], NaN for a missing answer, and spreads (n, 3), which are zero.
+        """Return positions and spreads, shape (n, 3) each [m].
 
-        ``hands_in_base_m`` and ``tcps_in_base_m`` are (n, 3), and ``seeds`` (n,).
+        The position of a missing answer is NaN, and all spreads are zero.
+
+        ``hands_in_base_m`` and ``tcps_in_base_m`` have the shape (n, 3), and ``seeds`` has the shape (n,).
         """
         posed = [
             Question(hand, tcp, int(seed))
@@ -65,14 +71,17 @@ class OnnxFunction:
 
 
 def read_onnx(path: Path) -> tuple[ReluNetwork, OnnxFunction]:
-    """Return the layers and the function of a file; raise ModelError, with the node, for a wrong operator."""
+    """Return the layers and the function of a file.
+
+    Raise ModelError for an unsupported operator; the error includes its node.
+    """
     with ONNX.needed("proofs about ONNX files", path):
         network = packed(_layers(path, onnx_bytes(path)))
     return network, OnnxFunction(isolated_onnx(path, DEFAULTS))
 
 
 def _layers(path: Path, data: bytes) -> list[AffineForm]:
-    """Return the layers of a file, of which the last is the answer."""
+    """Return the layers of a file; the last layer is the answer."""
     import onnx
 
     try:
@@ -93,6 +102,7 @@ def _layers(path: Path, data: bytes) -> list[AffineForm]:
         name: AffineForm({QUESTION: whole.value[QUESTION][:, p]}, {QUESTION: whole.error[QUESTION][:, p]})
         for name, p in ((HAND, slice(0, 3)), (TCP, slice(3, PERCEPTRON_INPUTS)))
     }
+    # From the answer back to the inputs: a file may also compute outputs that nobody asks for.
     wanted, nodes = {POSITION}, []
     for node in reversed(model.graph.node):
         if wanted & set(node.output):
@@ -119,7 +129,10 @@ def _layers(path: Path, data: bytes) -> list[AffineForm]:
 
 
 def _computed(operator: str, given: list[Any], more: Mapping[str, Any], layers: Layers) -> AffineForm:
-    """Return an operator's output for ``given`` forms and constants; raise ValueError if unsupported."""
+    """Return an operator's output for the operands ``given``, which are forms or constants.
+
+    Raise ValueError if the operator or its operands are unsupported.
+    """
     shown = [isinstance(operand, AffineForm) for operand in given]
     if not any(shown[:2]) or any(operand is None for operand in given):
         raise ValueError("operands that follow from hand and TCP, and constants of the file")
@@ -144,9 +157,11 @@ def _computed(operator: str, given: list[Any], more: Mapping[str, Any], layers: 
         sign = 1.0 if operator == "Add" else -1.0
         if first.width != rest[0].width:
             raise ValueError("two of the same width")
+        # A sign changes no digit, so the factor has no rounding error.
         return first.plus(rest[0].scaled(np.full(first.width, sign), 0.0), SINGLE)
     if (operator in ("Add", "Sub", "Mul") and sum(shown) == 1) or (operator == "Div" and alone):
         constant = _row(rest[0], first.width)
+        # The reciprocal is rounded in float64; GUARD covers that error.
         if operator in ("Mul", "Div"):
             return first.scaled(constant if operator == "Mul" else 1.0 / constant, SINGLE)
         turned = -1.0 if operator == "Sub" and not shown[0] else 1.0
@@ -161,6 +176,6 @@ def _computed(operator: str, given: list[Any], more: Mapping[str, Any], layers: 
 
 
 def _row(constant: Any, width: int) -> Floats:
-    """Return ``constant`` as a row (width,); raise ValueError if its shape does not fit."""
+    """Return ``constant`` as an array of shape (width,), and raise ValueError if its shape does not fit."""
     row: Floats = np.broadcast_to(np.asarray(constant, np.float64), (1, width))[0]
     return row

@@ -1,4 +1,4 @@
-"""A plan of proofs: a network, claims about it, and their regions of questions (docs/how-to/prove.md)."""
+"""Read a plan of proofs: a network, claims about it, and regions of inputs (docs/how-to/prove.md)."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ LOOP = (
     "questions that a loop makes follow from earlier answers: their distribution is not known, use a campaign"
 )
 SEEN = "seen"
-MOST_CLAIMS, MOST_REGIONS = 64, 64
-STEPS = 150
+MOST_CLAIMS, MOST_REGIONS = 64, 64  # a choice
+STEPS = 150  # for each axis, which gives the accuracy 1e-3 of ``counted_share``
 MOST_SAMPLES = 10_000_000
 ANY_APART_M = 0.0, 4.0 * LARGEST_COORDINATE_M  # from 0 to a distance that no pair reaches
 LEAST_INSIDE = 1e-3  # the least probability that a normal coordinate lies within a region
@@ -44,9 +44,10 @@ Normal = tuple[float, float]  # mean and standard deviation [m]
 
 @dataclass(frozen=True, kw_only=True)
 class ProofRegion:
-    """A box of hands and a box of TCPs in the base frame [m]; only pairs within ``apart_m`` belong to it.
+    """A region of inputs: pairs of a hand and a TCP in two boxes in the base frame [m].
 
-    The distance between the hand and the TCP of such a pair lies between the two lengths of ``apart_m``.
+    The region contains only pairs whose distance between hand and TCP lies between the two lengths of
+    ``apart_m``.
     """
 
     name: str
@@ -58,20 +59,21 @@ class ProofRegion:
 
     @classmethod
     def around(cls, tcp_m: Floats, low_m: Floats, high_m: Floats) -> ProofRegion:
-        """Return the region of the TCP ``tcp_m`` (3,) and of hands from ``low_m`` (3,) to ``high_m`` (3,)."""
+        """Return the region with one TCP ``tcp_m`` and the hands from ``low_m`` to ``high_m``, shape (3,)."""
         tcp, low, high = ((float(x[0]), float(x[1]), float(x[2])) for x in (tcp_m, low_m, high_m))
         return cls(name="a box", hand_low_m=low, hand_high_m=high, tcp_low_m=tcp, tcp_high_m=tcp)
 
     def corners(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the lowest coordinates of hand and TCP (1, 6), and the highest (1, 6)."""
+        """Return the lowest and the highest coordinates of hand and TCP, shape (1, 6) each."""
         low, high = (*self.hand_low_m, *self.tcp_low_m), (*self.hand_high_m, *self.tcp_high_m)
         return np.array([low]), np.array([high])
 
     @property
     def has_pair(self) -> bool:
-        """Whether the region has a pair within ``apart_m``.
+        """Whether the region contains at least one pair of hand and TCP.
 
-        The pairs of two boxes have every distance between the least and the largest, so these two decide.
+        The distances of the pairs in two boxes range continuously from the smallest to the largest.  These
+        two distances therefore determine the result.
         """
         (low,), (high,) = self.corners()
         least, most = low[:3] - high[3:], high[:3] - low[3:]  # of hand minus TCP
@@ -81,9 +83,9 @@ class ProofRegion:
 
     @property
     def counted_share(self) -> float:
-        """The share of all pairs in the two boxes that are within ``apart_m``, accurate to 1e-3.
+        """The fraction of all pairs in the two boxes that belong to the region, with an accuracy of 1e-3.
 
-        The share is a sum over ``STEPS``^3 offsets from TCP to hand.
+        The fraction is a sum over ``STEPS``^3 offsets from TCP to hand.
         """
         offsets, chances = [], []
         for low, high, start, to in zip(
@@ -102,23 +104,24 @@ class ProofRegion:
 
 @dataclass(frozen=True)
 class PlannedProof:
-    """A claim about all questions of a region."""
+    """A claim about the answers to all inputs in a region."""
 
     claim: DecisionClaim
     region: ProofRegion
 
     @property
     def sentence(self) -> str:
-        """The sentence of the claim, with the name of the region."""
+        """The sentence that states the claim, followed by the name of the region."""
         return f"{self.claim.sentence} ({self.region.name})"
 
 
 @dataclass(frozen=True, kw_only=True)
 class QuestionLaw:
-    """The distribution of questions; ``normals_m`` (6,) has an entry for each axis of hand and TCP.
+    """The distribution of inputs, and the sampling that bounds the probability of wrong answers.
 
-    The entry is None for a uniform axis.  For each claim, the program draws ``samples`` questions.  The
-    bounds of all claims hold together with ``confidence``.
+    ``normals_m`` has the mean and the standard deviation of each of the six coordinates of hand and TCP, or
+    None for a uniform coordinate.  For each claim, the program draws ``samples`` inputs.  The bounds of all
+    claims are true simultaneously with the probability ``confidence``.
     """
 
     normals_m: tuple[Normal | None, ...]
@@ -129,7 +132,11 @@ class QuestionLaw:
 
 @dataclass(frozen=True, eq=False)
 class ProofPlan:
-    """A plan of proofs; ``model_file`` contains both the layers ``network`` and the function ``asked``."""
+    """A plan of proofs about one network.
+
+    ``network`` contains the layers in ``model_file``, and ``asked`` is the function that computes the
+    network's answers.
+    """
 
     title: str
     avoider: str
@@ -141,18 +148,18 @@ class ProofPlan:
 
     @property
     def doubt_m(self) -> float:
-        """The largest spread of an answer that the gate accepts; NaN if the network has no threshold."""
+        """The largest spread that the gate accepts, or NaN if the network has no threshold."""
         return threshold_m(self.asked.model)
 
 
 def read_proof_plan(path: str | Path) -> ProofPlan:
-    """Return the plan of proofs in a file.
+    """Read a plan of proofs from a file.
 
     Args:
         path: The file.
 
     Raises:
-        ScenarioError: The plan cannot be used; the error names the place.
+        ScenarioError: The plan cannot be used; the error states the position in the file.
         ModelError: The network cannot be used.
 
     """
@@ -197,7 +204,10 @@ def read_proof_plan(path: str | Path) -> ProofPlan:
 def _network(
     at: Field, name: str, file: Path
 ) -> tuple[ReluNetwork, LearnedAvoider | OnnxFunction, SeenSpace | None]:
-    """Return the layers and the function of a file, and its seen space if the file states it."""
+    """Return the layers and the function of a network's file, and the network's seen space.
+
+    The seen space is None if the file does not state it.
+    """
     if file.suffix == ONNX_SUFFIX:
         use = exported_use(file)
         return *read_onnx(file), None if use is None else use.seen
@@ -208,7 +218,7 @@ def _network(
 
 
 def seen_region(seen: SeenSpace) -> ProofRegion:
-    """Return the region of all hands and TCPs that a network has seen, as its file states them."""
+    """Return the region of the hands and TCPs in a network's training data, according to its file."""
     return ProofRegion(
         name=SEEN,
         hand_low_m=seen.hand_low_m,
@@ -219,7 +229,10 @@ def seen_region(seen: SeenSpace) -> ProofRegion:
 
 
 def _region(name: str, at: Field, seen: ProofRegion | None) -> ProofRegion:
-    """Return the region that a plan describes; a box that the plan omits comes from ``seen``."""
+    """Return the region that a plan describes.
+
+    If the plan omits a box, the function uses the corresponding box of ``seen``.
+    """
     given = at.fields(("hand", "tcp", "apart"))
     hand, tcp, distances = (given.optional(key) for key in ("hand", "tcp", "apart"))
     hands, tcps = _box(hand) if hand else None, _box(tcp) if tcp else None
@@ -244,7 +257,10 @@ def _region(name: str, at: Field, seen: ProofRegion | None) -> ProofRegion:
 
 
 def _questions(at: Field, regions: list[ProofRegion]) -> QuestionLaw:
-    """Return the distribution in a plan; raise ScenarioError if it comes from a loop or misses a region."""
+    """Return the distribution of inputs in a plan.
+
+    Raise ScenarioError if a closed control loop produces the inputs, or if hardly any inputs lie in a region.
+    """
     given = at.fields(("hand", "tcp", "samples", "confidence", "seed"), hints=dict.fromkeys(OF_LOOPS, LOOP))
     normals: list[Normal | None] = []
     for key in ("hand", "tcp"):
@@ -269,7 +285,7 @@ def _questions(at: Field, regions: list[ProofRegion]) -> QuestionLaw:
 
 
 def _normals(at: Field) -> list[Normal | None]:
-    """Return the mean and standard deviation for each of three axes."""
+    """Return the mean and the standard deviation of the coordinate on each of three axes."""
     given = at.fields(("mean", "std"))
     mean = _corner(given.required("mean"))
     stds = given.required("std").items("three lengths", count=3)

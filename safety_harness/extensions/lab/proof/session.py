@@ -1,4 +1,4 @@
-"""The work on all claims of a plan of proofs, one after another, within a time limit."""
+"""Work on the claims of a plan of proofs, one after another, within a time limit."""
 
 from __future__ import annotations
 
@@ -24,11 +24,14 @@ OnStep = Callable[[str, float], None]
 
 @dataclass(frozen=True, kw_only=True)
 class Effort:
-    """The effort of a session: at most ``seconds`` for all claims, and at most ``halvings`` of a box.
+    """Limits and settings of a session of proofs.
 
-    The time starts when the processes have started and compiled their code.  ``over`` maps a function over
-    ``at_once`` batches of boxes, for example in other processes.  The work ends when ``stopped`` returns
-    True.  ``show`` receives the state of the present claim, and the finished share of all claims.
+    The session takes at most ``seconds`` for all claims, and it halves a box at most ``halvings`` times.
+
+    The time begins after the processes have started and compiled their code. ``over`` maps a function over
+    ``at_once`` batches of boxes, for example in other processes. The session ends when ``stopped`` returns
+    True. The session calls ``show`` with two arguments: a text about the current claim, and the finished
+    fraction of the work.
     """
 
     seconds: float
@@ -40,14 +43,17 @@ class Effort:
 
 
 def continue_proofs(plan: ProofPlan, proofs: list[Proof], effort: Effort) -> Iterator[Proof]:
-    """Yield each proof after further work; later proofs receive the time that a proof does not need.
+    """Continue the proofs one after another, and yield each of them.
+
+    The function divides the remaining time equally among the remaining proofs.
 
     Args:
         plan: The plan.
-        proofs: The proofs so far.
-        effort: The effort.
+        proofs: The proofs in their current state.
+        effort: The limits and settings.
 
     """
+    # Let every process compile its code before the time begins.
     for planned in [proof.planned for proof in proofs[:1]]:
         judge = partial(examined, plan.network, optimum_constants(), planned.claim, planned.region)
         list(effort.over(judge, [planned.region.corners()] * effort.at_once))
@@ -77,15 +83,18 @@ def continue_proofs(plan: ProofPlan, proofs: list[Proof], effort: Effort) -> Ite
 
 
 def fresh(plan: ProofPlan) -> list[Proof]:
-    """Return a proof for each claim of a plan, without any decided box."""
+    """Return a new proof for each claim of a plan; its whole region is undecided."""
     return [Proof(planned, BoxTree()) for planned in plan.proofs]
 
 
 def wrong_question(plan: ProofPlan, proof: Proof) -> WrongQuestion | None:
-    """Return the question with the worst answer in the middle of unproven leaves; None if none is wrong.
+    """Return the input with the worst answer among the centres of unproven leaves.
 
-    The kernel's bounds also refute a claim whose limit is looser by half of the answer's violation.  So a
-    check by other bounds refutes the original claim too.
+    The result is None if no such answer is wrong, or if the bounds do not confirm it.
+
+    The kernel's bounds at this input must refute even a claim whose limit is looser by half of the violation.
+    Because of this margin, a checker with other bounds will also find that the input refutes the original
+    claim.
 
     Args:
         plan: The plan.

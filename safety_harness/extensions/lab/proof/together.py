@@ -1,15 +1,19 @@
-"""One bound on wrong answers from a proof and a sample, for a known distribution of questions.
+"""Combine a proof and random samples to bound the probability of wrong answers.
 
-A question of the region is drawn at random.  The claim concerns it if its hand and TCP are as far apart as
-the region requires.  P is the probability that the claim concerns the question and that the network answers
-it wrongly.  R and U are the probabilities of the refuted and undecided boxes.  For questions from only the
-undecided boxes, b is an upper bound (Clopper and Pearson 1934) of the share of wrong answers.  Then
+The distribution of the inputs must be known.
+
+Let an input be drawn at random from the boxes of the region.  The claim concerns this input if the distance
+between hand and TCP lies in the region's range.  P is the probability that the claim concerns the input and
+that the network's answer is wrong.  R and U are the probabilities of the refuted and of the undecided boxes.
+The program draws a sample of inputs in the undecided boxes.  The sample gives an upper bound b of the
+probability of a wrong answer to such an input (Clopper and Pearson 1934).  Then
 
     R <= P <= R + U b        with the confidence of b; proven boxes add 0.
 
-The program draws the questions after the boxes are final.  The sample does not depend on the way in which the
-boxes arose, so b holds for any boxes.  The six axes are independent.  Each of them is uniform over the
-region, or normal and cut to it.
+It draws the sample after the proof has ended.  The sample is therefore independent of how the proof chose the
+boxes, and the bound b is valid for any boxes.  The six coordinates of an input are independent.  Each
+coordinate has either a uniform distribution over the region or a normal distribution that is truncated to the
+region.
 """
 
 from __future__ import annotations
@@ -38,9 +42,12 @@ DOUBTFUL = 1e-8  # m or m2: an answer with a smaller margin counts as wrong
 
 @dataclass(frozen=True, kw_only=True)
 class JointBound:
-    """The bound on wrong answers: P lies from ``low`` to ``high`` with ``confidence``.
+    """Bounds of the probability P of a wrong answer.
 
-    Of ``samples`` answers, ``wrong`` were wrong.  ``undecided`` is the probability U of the undecided boxes.
+    P lies between ``low`` and ``high`` with ``confidence``.
+
+    In the sample, ``wrong`` of ``samples`` answers were wrong.  ``undecided`` is the probability U of the
+    undecided boxes.
     """
 
     low: float
@@ -52,14 +59,14 @@ class JointBound:
 
     @property
     def cells(self) -> tuple[str, str, str, str, str]:
-        """The cells of a table: the upper bound, the lower bound, undecided, samples, wrong answers."""
+        """The cells of a table row: upper bound, lower bound, U, samples, and wrong answers."""
         chances = (f"{chance:.2g}" for chance in (self.high, self.low, self.undecided))
         high, low, undecided = chances
         return high, low, undecided, f"{self.samples:,}", f"{self.wrong:,}"
 
 
 def chances(questions: QuestionLaw, region: ProofRegion, low: Floats, high: Floats) -> Floats:
-    """Return the probability (n,) of each box from ``low`` to ``high`` (n, 6) within the region.
+    """Return the probability that an input of the region lies in each of n boxes, shape (n,).
 
     Args:
         questions: The distribution.
@@ -76,12 +83,12 @@ def chances(questions: QuestionLaw, region: ProofRegion, low: Floats, high: Floa
 
 
 def drawn(questions: QuestionLaw, low: Floats, high: Floats, rng: np.random.Generator) -> Floats:
-    """Return one random question (n, 6) from each box ``low`` to ``high`` (n, 6).
+    """Return a random input from each of n boxes, shape (n, 6).
 
     Args:
         questions: The distribution.
-        low: The low corners.
-        high: The high corners.
+        low: (n, 6) the low corners.
+        high: (n, 6) the high corners.
         rng: The generator.
 
     """
@@ -95,7 +102,10 @@ def drawn(questions: QuestionLaw, low: Floats, high: Floats, rng: np.random.Gene
 
 
 def _chance(normal: Normal | None, low: Floats, high: Floats) -> Floats:
-    """Return the probability (n,) of intervals (n,) for a normal variable, or their lengths for a uniform."""
+    """Return the probabilities of n intervals for a normal coordinate, shape (n,).
+
+    For a uniform coordinate, return the lengths of the intervals.
+    """
     if normal is None:
         return high - low
     first, last, _ = _ends(normal, low, high)
@@ -103,10 +113,12 @@ def _chance(normal: Normal | None, low: Floats, high: Floats) -> Floats:
 
 
 def _ends(normal: Normal, low: Floats, high: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Return two tail probabilities (n,) at the ends of intervals (n,), and whether they are upper tails.
+    """Return the tail probabilities at both ends of n intervals, shape (n,) each.
 
-    The smaller probability comes first.  An interval above the mean has upper tails, because lower tails
-    would lose digits there.
+    The third result is True for upper tails.
+
+    The first result is the smaller probability.  For an interval above the mean, the function uses upper
+    tails, because lower tails would lose digits there.
     """
     start, end = (low - normal[0]) / normal[1], (high - normal[0]) / normal[1]
     above = start + end > 0.0  # where 1 - F would lose digits
@@ -122,15 +134,16 @@ def joint_bound(
     confidence: float,
     rng: np.random.Generator,
 ) -> JointBound:
-    """Return the bound from a finished tree and from new questions in its undecided boxes.
+    """Return the bound that follows from a finished tree and from a new sample in its undecided boxes.
 
     Args:
         tree: The tree.
         region: The region.
         questions: The distribution.
-        is_wrong: Returns whether (n,) each of n questions (n, 6) has a wrong answer.
+        is_wrong: A function that receives n inputs, shape (n, 6), and returns whether each answer is wrong,
+            shape (n,).
         confidence: The confidence of the bound.
-        rng: The generator of the questions.
+        rng: The random generator for the sample.
 
     """
     refuted = sum(float(chances(questions, region, *box).sum()) for box in tree.leaves(region, REFUTED))
@@ -138,6 +151,7 @@ def joint_bound(
     each = chances(questions, region, low, high)
     undecided, count, against, most = min(1.0, float(each.sum()) * UP), 0, 0, 0.0
     if len(each):
+        # Draw boxes with probabilities proportional to their chances, then one input in each drawn box.
         ends = np.cumsum(each)
         count = questions.samples
         rows = np.searchsorted(ends, rng.random(count) * ends[-1], side="right").clip(max=len(each) - 1)
@@ -154,9 +168,9 @@ def joint_bound(
 
 
 def joint_bounds(plan: ProofPlan, proofs: list[Proof]) -> list[JointBound]:
-    """Return a bound for each claim; all bounds together hold with the plan's confidence.
+    """Return a bound for each claim; with the plan's confidence, all bounds are true simultaneously.
 
-    The list is empty if the plan has no distribution of questions.
+    The list is empty if the plan has no distribution of inputs.
     """
     questions, avoider = plan.questions, plan.asked
     if questions is None:
@@ -167,6 +181,7 @@ def joint_bounds(plan: ProofPlan, proofs: list[Proof]) -> list[JointBound]:
             proof.planned.region,
             questions,
             partial(answered_wrongly, avoider, proof.planned),
+            # Bonferroni: the claims share the error equally, so all bounds hold simultaneously.
             confidence=1.0 - (1.0 - questions.confidence) / len(proofs),
             rng=generator(questions.seed, Branch.PROOF, number),
         )
@@ -175,14 +190,14 @@ def joint_bounds(plan: ProofPlan, proofs: list[Proof]) -> list[JointBound]:
 
 
 def answered_wrongly(avoider: Answering, planned: PlannedProof, points: Floats) -> NDArray[np.bool_]:
-    """Return whether (n,) the claim concerns each of ``points`` (n, 6) and the network answers it wrongly.
+    """Return True for each input that the claim concerns and that the network answers wrongly, shape (n,).
 
-    An answer that is nearly wrong counts as wrong.
+    The function treats an answer that is nearly wrong as wrong.
 
     Args:
         avoider: The network.
         planned: The claim with its region.
-        points: Hands and TCPs.
+        points: (n, 6) the inputs, that is, hands and TCPs.
 
     """
     apart_m, (near_m, far_m) = np.linalg.norm(points[:, :3] - points[:, 3:], axis=1), planned.region.apart_m

@@ -1,9 +1,10 @@
-"""A region that is halved until its parts are decided: one code for each node, level by level.
+"""Halve a region until its parts are decided, and store the parts as a tree with a code for each node.
 
-A node is halved along an axis (codes 0 to 5: hand, then TCP), or it is a leaf (codes of ``box_kernel``).  The
-next level consists of the two halves of each halved node, the lower half first.  So the leaves always fill
-the region.  A leaf at level k has the share 2^-k of the region.  Work can continue at an undecided leaf at
-any time.
+If the code of a node is from 0 to 5, the node is halved along the axis with this number. Axes 0 to 2 are the
+axes of the hand, and axes 3 to 5 are the axes of the TCP. A node with a larger code is a leaf, and
+``box_kernel`` defines these codes. The next level consists of the two halves of each halved node, beginning
+with the lower half. The leaves therefore always fill the region. The volume of a leaf at level k is 2^-k
+times the volume of the region. A later session can continue at the undecided leaves.
 """
 
 from __future__ import annotations
@@ -34,19 +35,19 @@ LEAVES = {PROVEN: "proven", REFUTED: "refuted", UNDECIDED: "undecided", OUTSIDE:
 
 @dataclass
 class BoxTree:
-    """The codes of each level; a fresh tree is one undecided leaf."""
+    """The codes of a tree, level by level; a new tree is a single undecided leaf."""
 
     levels: list[Codes] = field(default_factory=lambda: [np.array([UNDECIDED], np.uint8)])
 
     def shares(self) -> dict[str, float]:
-        """Return the exact shares of the region: proven, refuted, undecided, and outside of the claim."""
+        """Return the exact fractions of the region that are proven, refuted, undecided and outside."""
         return {
             name: sum(float((codes == code).sum()) * 2.0**-k for k, codes in enumerate(self.levels))
             for code, name in LEAVES.items()
         }
 
     def leaves(self, region: ProofRegion, code: int) -> Iterator[Boxes]:
-        """Yield the boxes of the leaves with ``code`` in ``region``, level by level, largest first."""
+        """Yield the boxes of the leaves with ``code`` in ``region``, level by level, beginning at the top."""
         low, high = region.corners()
         for codes in self.levels:
             yield low[codes == code], high[codes == code]
@@ -54,7 +55,9 @@ class BoxTree:
 
 
 def halves(low: Floats, high: Floats, codes: Codes) -> Boxes:
-    """Return the halves (2 m, 6) of the m boxes that ``codes`` halves, of n from ``low`` to ``high`` (n, 6).
+    """Return the two halves of each box that ``codes`` halves.
+
+    If ``codes`` halves m of n boxes, the corners of the halves have the shape (2 m, 6).
 
     Args:
         low: (n, 6) the low corners.
@@ -83,13 +86,13 @@ def examined(
     boxes: Boxes,
     doubt_m: float = np.nan,
 ) -> Codes:
-    """Return the codes (n,) of boxes, with the ``constants`` (10,) of the optimum.
+    """Decide n boxes, and return a code for each of them, shape (n,).
 
-    The function belongs to the module, so that other processes can call it.
+    It is not a nested function, so that other processes can call it.
 
     Args:
         network: The network.
-        constants: The result of ``optimum_constants``.
+        constants: (10,) the result of ``optimum_constants``.
         claim: The claim.
         region: The region.
         boxes: The corners of the boxes.
@@ -107,9 +110,9 @@ def examined_with_spreads(
     boxes: Boxes,
     doubt_m: float = np.nan,
 ) -> tuple[Codes, Floats]:
-    """Return the codes (n,) of boxes and bounds (n, 2) of the spread [m]; ``constants`` has the shape (10,).
+    """Decide n boxes, and return a code for each box, shape (n,), and bounds of its spread, shape (n, 2) [m].
 
-    The arguments are the same as in ``examined``.
+    ``constants`` has the shape (10,), and all arguments are the same as in ``examined``.
     """
     codes, spreads_m = np.empty(len(boxes[0]), np.uint8), np.empty((len(boxes[0]), 2))
     near_m, far_m = region.apart_m
@@ -133,22 +136,23 @@ def work(
     on_level: Callable[[BoxTree], Any] = lambda tree: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Decide or halve the undecided leaves of ``tree``, the largest first, down to ``halvings`` halvings.
+    """Decide or halve the undecided leaves of ``tree``, beginning with the largest.
 
-    The work ends early at ``until_s``, or when ``stopped`` returns True; the tree is complete at any time.
+    The function ends early at the time ``until_s``, or when ``stopped`` returns True.  The tree is valid at
+    any time.
 
     Args:
         tree: The tree, changed in place.
         network: The network.
         claim: The claim.
         region: The region.
-        halvings: The greatest depth of the tree.
-        until_s: The time at which to end, by ``time.monotonic``.
+        halvings: The largest number of times to halve a box, that is, the greatest depth of the tree.
+        until_s: The time at which to end, on the clock of ``time.monotonic``.
         doubt_m: The network's threshold of the spread; NaN means no threshold.
-        map_batches: Maps a function over batches of boxes, for example in other processes.
-        at_once: The number of batches to map at a time; the result does not depend on it.
-        on_level: Receives the tree after each level.
-        stopped: Ends the work when it returns True.
+        map_batches: A replacement of ``map``, which may process the batches of boxes in other processes.
+        at_once: The number of batches to map at a time, which has no effect on the result.
+        on_level: A function that receives the tree after each level.
+        stopped: A function that returns True if the work must end.
 
     """
     judge = partial(examined, network, optimum_constants(), claim, region, doubt_m=doubt_m)
@@ -158,9 +162,11 @@ def work(
         codes = tree.levels[level]
         waiting = np.flatnonzero(codes == UNDECIDED)
         old_codes = codes.copy()
+        # On the last level no box is halved, so the other leaves remain undecided for a later session.
         last = level >= halvings or 2 * len(waiting) > MOST_BOXES
         batches = ((low[part], high[part]) for part in _parts(waiting))
         rows = _parts(waiting)
+        # Check the time between groups only, so that the codes of a batch are complete.
         while (group := list(islice(rows, at_once))) and not stopped() and time.monotonic() < until_s:
             for part, judged in zip(group, map_batches(judge, list(islice(batches, at_once))), strict=True):
                 codes[part] = np.where(judged < PROVEN, UNDECIDED, judged) if last else judged
@@ -171,12 +177,16 @@ def work(
 
 
 def _parts(rows: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
-    """Return ``rows`` in batches of ``AT_ONCE``."""
+    """Yield batches of at most ``AT_ONCE`` elements of ``rows``."""
     return (rows[start : start + AT_ONCE] for start in range(0, len(rows), AT_ONCE))
 
 
 def _put_next(tree: BoxTree, level: int, old_codes: Codes, count: int) -> None:
-    """Give ``count`` nodes to the level after ``level``, which had ``old_codes`` (n,); undecided if new."""
+    """Adjust the level after ``level``, so that it has ``count`` nodes.
+
+    Existing nodes keep their codes, and new nodes are undecided.  ``old_codes`` contains the previous codes
+    of ``level``, shape (n,).
+    """
     halved = tree.levels[level] < PROVEN
     fresh = np.full(count, UNDECIDED, np.uint8)
     old = np.repeat(old_codes[halved] < PROVEN, 2)

@@ -1,1 +1,1 @@
-"""Scores of an avoider's answers to direct questions, without a simulation and before any gate."""
+"""Score an avoider's answers to direct questions, without a simulation and before any gate."""

@@ -1,4 +1,4 @@
-"""An avoider beside a reference avoider on the same questions: only their differences become findings."""
+"""Compare an avoider with a reference avoider on the same questions; only differences become findings."""
 
 from __future__ import annotations
 
@@ -25,15 +25,17 @@ def findings_against(
     of_reference: Sequence[ScoreFinding],
     settings: Sequence[Settings],
 ) -> tuple[ScoreFinding, ...]:
-    """Return findings that the reference does not have, then the errors that the avoider makes more often.
+    """Return the findings that apply to the avoider but not to the reference avoider.
 
-    ``more_often_wrong`` compares the errors of both.
+    The result ends with findings on errors that the avoider makes more often than the reference avoider.
+
+    The function ``more_often_wrong`` compares the errors of the two avoiders.
 
     Args:
         card: The avoider's card.
-        own_findings: The findings on it.
-        reference: The reference's card, for the same questions.
-        of_reference: The findings on it.
+        own_findings: The findings on the avoider.
+        reference: The card of the reference avoider, for the same questions.
+        of_reference: The findings on the reference avoider.
         settings: The settings of each region.
 
     Raises:

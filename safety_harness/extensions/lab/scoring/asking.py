@@ -1,4 +1,8 @@
-"""Ask any avoider many questions: together if it supports that, otherwise or after a failure one by one."""
+"""Ask an avoider many questions.
+
+If the avoider supports batches, it receives many questions in one call.  Otherwise, or if a batch fails, it
+receives one question at a time.
+"""
 
 from __future__ import annotations
 
@@ -16,22 +20,22 @@ from safety_harness.cell.avoidance.asking import (
 from safety_harness.cell.avoidance.avoider import Avoider, spread_threshold_of
 from safety_harness.extensions.lab.scoring.questions import Answers, Questions
 
-CHUNK = 2_048
+CHUNK = 2_048  # questions in a call; a choice
 FEW = 16  # a failed chunk is halved down to this size; then its questions are asked one by one
 
 
 def asked_together(avoider: Avoider, questions: Questions) -> Answers:
-    """Return the answers to many questions, in order.
+    """Return the answers to many questions, in the order of the questions.
 
-    An avoider that takes many questions at once receives ``CHUNK`` of them.  If a chunk fails, the function
-    asks it again in smaller parts, and at last question by question.
+    An avoider that supports batches receives chunks of ``CHUNK`` questions.  If a chunk fails, the function
+    divides it into smaller chunks, and finally asks one question at a time.
 
     Args:
         avoider: The avoider.
         questions: The questions.
 
     Raises:
-        NoAnswerError: The avoider hangs.
+        NoAnswerError: The avoider does not return from a call.
 
     """
     starts = range(0, len(questions), CHUNK)
@@ -39,7 +43,7 @@ def asked_together(avoider: Avoider, questions: Questions) -> Answers:
 
 
 def asked_alone(avoider: Avoider, questions: Questions) -> tuple[Answers, list[float]]:
-    """Return the answers to questions that are asked one at a time, and the time of each answer [s].
+    """Ask one question at a time, and return the answers and the time of each answer [s].
 
     Args:
         avoider: The avoider.
@@ -68,11 +72,15 @@ def _of_chunk(avoider: Avoider, questions: Questions) -> Answers:
 
 
 def _at_once(avoider: BatchAvoider, questions: Questions) -> Answers | None:
-    """Return the answers that one call gives to a chunk; None if any is invalid or the call fails."""
+    """Return the answers to a chunk from a single call.
+
+    The result is None if the call fails or if at least one answer is invalid.
+    """
     try:
         threshold_m = spread_threshold_of(avoider)
         every = [questions.single(0)] * len(questions)
         with interrupted_after(limit_of(every), avoider.name):
+            # Copies, because a user's code may change its arguments.
             positions, spreads = avoider.propose_many(
                 questions.hands_in_base_m.copy(), questions.tcps_in_base_m.copy(), questions.seeds.copy()
             )
@@ -88,7 +96,7 @@ def _at_once(avoider: BatchAvoider, questions: Questions) -> Answers | None:
 
 
 def _arrays(answers: list[Answer]) -> Answers:
-    """Return a list of answers as arrays."""
+    """Convert a list of answers to arrays."""
     return Answers(
         np.array([answer.proposal.position_in_base_m for answer in answers]).reshape(-1, 3),
         np.array([answer.proposal.spread_m for answer in answers]).reshape(-1, 3),

@@ -1,9 +1,10 @@
-"""Findings on an avoider: outright failures, and figures that are clearly worse than every yardstick's.
+"""Derive findings on an avoider: failures, and statistics that are clearly worse than every yardstick's.
 
-Yardsticks are reference avoiders that answer the same questions.  A share is worse if its exact interval
-lies above the worst yardstick's interval by more than a margin.  A length is worse if it exceeds the worst
-yardstick's length by more than a stated factor.  An answer towards the hand is worse if every yardstick
-leads away from the hand on that question.  ``FindingLimits`` lists every limit with its reason.
+Yardsticks are reference avoiders that answer the same questions. A fraction is worse if its exact interval
+lies above the worst yardstick's interval by more than a margin. A length is worse if it exceeds the worst
+yardstick's length by more than a given factor. An answer towards the hand is worse only if the answers of all
+yardsticks to the same question lead away from the hand. ``FindingLimits`` lists every limit and the reason
+for it.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ MM = 1e3  # millimetres per metre, or milliseconds per second
 
 @dataclass(frozen=True)
 class FindingLimits:
-    """The limits beyond which a figure is a finding."""
+    """The limits beyond which a statistic becomes a finding."""
 
     # The share of answers that lead towards the hand where no yardstick does.  For sure answers it is the
     # margin above the worst yardstick's share.
@@ -69,13 +70,13 @@ LIMITS = FindingLimits()
 def findings(
     card: Scorecard, yardsticks: Sequence[Scorecard], limits: FindingLimits = LIMITS
 ) -> tuple[ScoreFinding, ...]:
-    """Return the findings on ``card``: those in each region, then those on the avoider as a whole.
+    """Return the findings on an avoider: first for each region, then for the avoider as a whole.
 
-    The function skips a region if no run can ask its questions.
+    The function skips a region whose questions cannot occur in a run.
 
     Args:
         card: The avoider's card.
-        yardsticks: Cards of the same regions, questions and seed.
+        yardsticks: The cards of the yardsticks, for the same regions, questions and seed.
         limits: The limits.
 
     Raises:
@@ -132,7 +133,7 @@ def _of_region(
 def _shares(
     score: RegionScore, beside: Sequence[RegionScore], limits: FindingLimits
 ) -> Iterator[ScoreFinding]:
-    """Yield a finding for each share of answers that exceeds the worst yardstick's by its margin."""
+    """Yield a finding for each fraction that exceeds the worst yardstick's fraction by its margin."""
     rules: tuple[
         tuple[Kind, Callable[[RegionScore], Proportion | None], float, str, tuple[ScoredQuestion, ...]], ...
     ] = (
@@ -185,9 +186,11 @@ def _shares(
 def _towards(
     score: RegionScore, beside: Sequence[RegionScore], limits: FindingLimits
 ) -> Iterator[ScoreFinding]:
-    """Yield a finding if too many answers lead towards the hand where each yardstick leads away.
+    """Yield a finding if too many answers lead towards the hand.
 
-    The rule compares question by question, since avoiders with equal shares may err on different questions.
+    The function ignores a question if a yardstick's answer to it leads towards the hand too.
+
+    It compares question by question, because avoiders with equal fractions may err on different questions.
     """
     count = min(len(scored.questions) for scored in (score, *beside))  # the questions that all cards have
     own, *theirs = (_leads_towards(scored, count) for scored in (score, *beside))
@@ -200,7 +203,10 @@ def _towards(
 
 
 def _leads_towards(score: RegionScore, count: int) -> NDArray[np.bool_]:
-    """Return whether (count,) each of the first answers leads towards the hand; False if it is missing."""
+    """Return whether each of the first answers leads towards the hand, shape (count,).
+
+    The value for a missing answer is False.
+    """
     questions, answers = score.questions[:count], score.answers[:count]
     return np.asarray(
         gained_m(questions.hands_in_base_m, questions.tcps_in_base_m, answers.positions_in_base_m) < 0.0
@@ -208,19 +214,19 @@ def _leads_towards(score: RegionScore, count: int) -> NDArray[np.bool_]:
 
 
 def _unreached(score: RegionScore) -> Proportion | None:
-    """Return the share of answers out of reach."""
+    """Return the fraction of answers that the arm cannot reach."""
     return None if score.in_reach is None else _complement(score.in_reach)
 
 
 def _complement(share: Proportion) -> Proportion:
-    """Return the complement of a share."""
+    """Return the complement of a fraction, that is, 1 minus the fraction."""
     return Proportion(share.trials - share.count, share.trials, 1.0 - share.high, 1.0 - share.low)
 
 
 def _lengths(
     score: RegionScore, beside: Sequence[RegionScore], limits: FindingLimits
 ) -> Iterator[ScoreFinding]:
-    """Yield the findings on the distances from the optimum, the mean error and the slopes of the error."""
+    """Yield findings on the distances from the optimum, on the mean error, and on the slopes of the error."""
     assert score.off_m is not None
     assert score.off_most_m is not None
     shown = _questions(score.worst_off)
@@ -270,30 +276,31 @@ def _bias_m(score: RegionScore) -> float:
 
 
 def _vector(score: RegionScore) -> str:
-    """Return the mean error along x, y and z [mm] as text."""
+    """Return a text with the mean error along x, y and z [mm]."""
     assert score.bias_in_base_m is not None
     return ", ".join(f"{axis.value * MM:+.1f}" for axis in score.bias_in_base_m)
 
 
 def _pull_off(score: RegionScore) -> float:
-    """Return the largest growth of the error with the hand's position [m/m]."""
+    """Return the largest slope of the error with respect to the hand's position [m/m]."""
     return 0.0 if score.pull is None else float(np.abs(np.array(score.pull)).max())
 
 
 def _scale_off(score: RegionScore) -> float:
-    """Return the largest growth of the error with the TCP's position [m/m]."""
+    """Return the largest slope of the error with respect to the TCP's position [m/m]."""
     return 0.0 if score.scale is None else float(np.abs(np.array(score.scale)).max())
 
 
 def _spreads(
     score: RegionScore, beside: Sequence[RegionScore], limits: FindingLimits
 ) -> Iterator[ScoreFinding]:
-    """Yield the findings on spreads: too small, too large, or without relation to the errors."""
+    """Yield findings on spreads that are too small, too large, or not correlated with the errors."""
     mine, theirs = score.spreads, [scored.spreads for scored in beside if scored.spreads is not None]
     if mine is None or not theirs:
         return
     their = theirs[-1]
     ratio, axes = mine.error_to_spread, np.array(mine.by_axis)
+    # The interval of the ratio over all axes, relative to the ratio, also serves for each axis.
     low, high = (ratio.low / ratio.value, ratio.high / ratio.value) if ratio.value else (1.0, 1.0)
     most = limits.too_sure * max(1.0, *their.by_axis)
     least = limits.too_unsure * min(1.0, *their.by_axis)
@@ -316,7 +323,7 @@ def _spreads(
 
 
 def _of_jumps(jumps: Jumps, beside: Sequence[Jumps], limits: FindingLimits) -> Iterator[ScoreFinding]:
-    """Yield the findings on the jumps and steep slopes of answers between near questions."""
+    """Yield findings on answers that jump or change steeply between neighbouring questions."""
     most = max((each.jumped.count for each in beside if each.jumped), default=0)
     if jumps.largest and jumps.jumped and jumps.jumped.count >= most + limits.jumped:
         largest = jumps.largest
@@ -336,14 +343,17 @@ def _of_jumps(jumps: Jumps, beside: Sequence[Jumps], limits: FindingLimits) -> I
 
 
 def _slope(jumps: Jumps) -> float:
-    """Return the steepest slope of the answers, less two steps of their number format."""
+    """Return the steepest slope of the answers.
+
+    The function first subtracts two steps of the number format from the change of the answer.
+    """
     if jumps.steepest is None:
         return 0.0
     return max(jumps.steepest.change_m - 2.0 * jumps.step_m, 0.0) / jumps.steepest.apart_m
 
 
 def _of_repeats(repeats: Iterable[AskedAgain], same_m: float) -> Iterator[ScoreFinding]:
-    """Yield a finding for each way of asking that changed an answer by more than ``same_m``."""
+    """Yield a finding for each way of asking again that changed an answer by more than ``same_m``."""
     for repeat in repeats:
         if repeat.largest_m > same_m:
             text = (
@@ -354,7 +364,7 @@ def _of_repeats(repeats: Iterable[AskedAgain], same_m: float) -> Iterator[ScoreF
 
 
 def _of_times(card: Scorecard, limits: FindingLimits) -> Iterator[ScoreFinding]:
-    """Yield the findings on answer times beyond the deadline or beyond the declared time."""
+    """Yield findings on answer times that exceed the deadline or the declared time."""
     times = card.times
     if times is None:
         return

@@ -1,17 +1,20 @@
-"""Jumps of answers between near questions, which a search finds along straight segments.
+"""Search for jumps of an avoider's answers between neighbouring questions, along straight segments.
 
-On a segment, the hand or the TCP moves while the seed and the other position stay.  All segments pass
-through drawn questions, among them those with the worst answers.  A few segments in a thousand meet a given
-ball of 15 mm radius among the hands of a region.  The search follows the segments whose answers change least
-evenly.  There it divides the step that differs most from the median step into eight parts.  It repeats this
-with the most uneven part until the ends of a part are at most ``NEAR_M`` apart.  If the answers at these ends
-differ by more than half a millimetre, the difference is a jump and not a steep slope.
+On a segment, one position moves, either of the hand or of the TCP. The remaining position and the seed are
+constant. Each segment passes through a random question, and some pass through the questions with the worst
+answers. For example, only a few in a thousand segments of the region pass through a given ball of hand
+positions with a radius of 15 mm. The search follows the segments on which the answers change most unevenly.
+On such a segment, it finds the step whose change differs most from the median change, and divides this step
+into eight parts. It repeats this with the most uneven part until the ends of a part are at most ``NEAR_M``
+apart. If the answers at these ends differ by more than half a millimetre, the difference is a jump and not a
+steep slope.
 
-An avoider that rounds its questions gives equal answers within a cell.  If it is also steep, its answers
-differ much from cell to cell.  So a change is no jump under two conditions: the answers stay equal on both
-sides of it, and in the next cells they change by at least half as much.  An avoider answers in steps if it
-jumps on at least the share ``STEPPED`` of the followed segments, like a network in int8.  Steps of up to
-``STEPPED_M``, which is twice the error of a predicted hand, are no jumps.
+An avoider that rounds its inputs gives equal answers within a rounding cell.  If its answers also change
+steeply, they differ much between neighbouring cells.  A change is therefore no jump if two conditions are
+true.  First, the answers are constant on both sides of the change.  Second, they change by at least half as
+much at the borders of the next cells.  A network in int8 answers in steps.  The module assumes such steps if
+it finds jumps on at least the fraction ``STEPPED`` of the followed segments.  It then ignores jumps of up to
+``STEPPED_M``, which is twice the error of a predicted hand.
 """
 
 from __future__ import annotations
@@ -48,7 +51,11 @@ SAME_M = 1e-9  # if a question moves by 2 um, an avoider that does not round mov
 
 @dataclass(frozen=True, eq=False)
 class _Segments:
-    """Segments along unit vectors ``directions`` (n, 3), ``half_m`` (n,) on each side of ``middles`` (n)."""
+    """Straight segments, on which either the hand or the TCP moves.
+
+    A segment extends by ``half_m`` on both sides of its centre in ``middles``.  ``directions`` contains the
+    unit vectors along the segments, shape (n, 3).
+    """
 
     moved: Moved
     middles: Questions
@@ -56,12 +63,15 @@ class _Segments:
     half_m: Floats
 
     def at(self, rows: NDArray[np.int64], along_m: Floats) -> Questions:
-        """Return the questions on segments ``rows`` (k,) at distances ``along_m`` (k,) from the middles."""
+        """Return k questions on the segments ``rows``, shape (k,).
+
+        ``along_m`` contains their distances from the centres of the segments, shape (k,).
+        """
         return moved_by(self.middles[rows], self.moved, along_m[:, None] * self.directions[rows])
 
 
 def moved_by(questions: Questions, moved: Moved, shifts_m: ArrayNx3) -> Questions:
-    """Return the same questions, with either their hands or their TCPs shifted.
+    """Return copies of questions in which either the hands or the TCPs are shifted.
 
     Args:
         questions: The questions.
@@ -83,16 +93,17 @@ def jumps_of(
     rng: np.random.Generator,
     count: int,
 ) -> Jumps:
-    """Return the jumps along segments through the first ``count`` questions and through the worst questions.
+    """Return the jumps on segments through the first ``count`` questions and through the worst questions.
 
     Args:
-        ask: Returns the answers to questions.
+        ask: A function that returns the answers to questions.
         region: The region of the questions.
         moved: Whether the hand or the TCP moves.
         questions: Questions of the region.
         answers: The answers to ``questions``.
-        rng: The generator of the segments' directions.
-        count: The number of segments that do not depend on the answers.
+        rng: The random generator for the directions of the segments.
+        count: The number of segments that do not depend on the answers; they pass through the first
+            questions.
 
     """
     segments = _segments(region, moved, questions, answers, rng, count)
@@ -109,6 +120,7 @@ def jumps_of(
     steps = np.diff(values.reshape(total, per, 6), axis=1)
     uneven_m = _uneven_m(steps)  # (n, per - 1)
     at, best = np.argmax(uneven_m, axis=1), uneven_m.max(axis=1)
+    # Follow every segment through a worst question, and only the most uneven of the others.
     first = len(segments.middles) - count  # anchors come first
     random = first + np.argsort(-best[first:], kind="stable")[:FOLLOWED]
     chosen = np.concatenate([np.arange(first), random])
@@ -126,7 +138,7 @@ def _segments(
     rng: np.random.Generator,
     count: int,
 ) -> _Segments:
-    """Return the segments through the worst questions, then those through the first ``count`` questions."""
+    """Return segments through the worst questions, then segments through the first ``count`` questions."""
     anchors = questions[_anchors(questions, answers, region)]
     middles = Questions.joined([anchors, questions[:count]])
     directions = rng.normal(size=(len(anchors) + count, 3))[: len(middles)]
@@ -137,7 +149,11 @@ def _segments(
 
 
 def _anchors(questions: Questions, answers: Answers, region: QuestionRegion) -> NDArray[np.int64]:
-    """Return the rows of the questions with the largest error, least gain, or largest error per spread."""
+    """Return the rows of the questions that are worst by at least one of three measures.
+
+    The measures are the distance from the optimum, the component of the step towards the hand, and the ratio
+    of the distance to the spread.
+    """
     hands, tcps, proposed = questions.hands_in_base_m, questions.tcps_in_base_m, answers.positions_in_base_m
     off_by = off_m(proposed, optimum_in_base_m(region.settings, hands, tcps))
     badness = [off_by, -gained_m(hands, tcps, proposed), off_by / (answers.spreads_m.max(axis=1) + 1e-3)]
@@ -148,18 +164,24 @@ def _anchors(questions: Questions, answers: Answers, region: QuestionRegion) -> 
 
 
 def _values(answers: Answers) -> Floats:
-    """Return positions and spreads side by side (n, 6)."""
+    """Return an array with the positions and the spreads as columns, shape (n, 6)."""
     return np.hstack([answers.positions_in_base_m, answers.spreads_m])
 
 
 def _size_m(changes: Floats) -> Floats:
-    """Return the size (...) of each change (..., 6): the larger of the position's and the spread's change."""
+    """Return the size of each change, shape (...).
+
+    The size is the larger of the changes of the position and of the spread.
+    """
     position, spread = np.linalg.norm(changes[..., :3], axis=-1), np.linalg.norm(changes[..., 3:], axis=-1)
     return np.asarray(np.maximum(position, spread))
 
 
 def _uneven_m(steps: Floats) -> Floats:
-    """Return how far (n, k) each of ``steps`` (n, k, 6) is from its segment's median step; 0 if unknown."""
+    """Return how far each step differs from the median step of its segment, shape (n, k).
+
+    ``steps`` has the shape (n, k, 6).  The result is 0 for a step without both answers.
+    """
     known = np.isfinite(steps).all(axis=2, keepdims=True)
     with np.errstate(all="ignore"):
         filled = np.where(known, steps, np.nan)
@@ -168,7 +190,11 @@ def _uneven_m(steps: Floats) -> Floats:
 
 
 def _nanmedian(values: Floats) -> Floats:
-    """Return the medians (n, 6) of (n, k, 6) without NaN; numpy's own function warns if all are NaN."""
+    """Return the medians over the second axis, without NaN, shape (n, 6).
+
+    ``values`` has the shape (n, k, 6).  The function replaces ``numpy.nanmedian``, which warns if all values
+    are NaN.
+    """
     ordered = np.sort(values, axis=1)  # NaN last
     counts = np.isfinite(values).sum(axis=1)
     middle = np.maximum((counts - 1) // 2, 0)[:, None]
@@ -178,10 +204,10 @@ def _nanmedian(values: Floats) -> Floats:
 def _followed(
     ask: Ask, jumps: Jumps, segments: _Segments, rows: NDArray[np.int64], start_m: Floats, step_m: Floats
 ) -> Jumps:
-    """Return ``jumps`` with the jumps and the steepest change that the division of uneven steps finds.
+    """Divide uneven steps, and return a copy of ``jumps`` with the jumps and the steepest change.
 
-    The steps of the segments ``rows`` (k,) begin at ``start_m`` (k,) and have the length ``step_m`` (k,).
-    ``jumps`` defines the limit of a jump.
+    The function divides one step of each of the k segments ``rows``.  The steps begin at ``start_m`` and have
+    the lengths ``step_m``, shape (k,) each.  A change is a jump if it exceeds ``jumps.limit_m``.
     """
     largest: AnswerChange | None = None
     steepest: AnswerChange | None = None
@@ -211,6 +237,8 @@ def _followed(
         done = (step_m <= NEAR_M) & (change_m > jumps.limit_m)
         stepped -= int(np.count_nonzero((change_m <= jumps.limit_m) & (step_m <= STEEP_M[1])))
         ends = (every[done] * (PARTS + 1) + best[done])[:, None] + [0, 1]
+        # An avoider that rounds its inputs jumps at every cell.  Only a change beyond two such steps is a
+        # jump.
         done[done] = change_m[done] > 2.0 * _beside_m(ask, segments.moved, points[ends.ravel()])
         jumped_m[rows[done]] = change_m[done]
         k = int(np.argmax(np.where(done, change_m, 0.0)))
@@ -226,10 +254,12 @@ def _followed(
 
 
 def _beside_m(ask: Ask, moved: Moved, ends: Questions) -> Floats:
-    """Return how far (k,) [m] the answers at the two ``ends`` (2k) of jumps differ from the cells beside.
+    """Return how much the answer changes from each jump's ends to the next rounding cells, shape (k,) [m].
 
-    The smaller difference of the two ends counts.  It is 0 if the answers change within ``CELLS_M[0]``, since
-    such an avoider does not round its question.
+    ``ends`` contains the two ends of k jumps.
+
+    The result is the smaller of the changes at the two ends.  It is 0 if the answers change within
+    ``CELLS_M[0]``, because the avoider then does not round its inputs.
     """
     ways_m = CELLS_M[:, None, None] * np.vstack([np.eye(3), -np.eye(3)])  # (c, 6, 3)
     count, per = len(ends), ways_m.size // 3
@@ -237,6 +267,7 @@ def _beside_m(ask: Ask, moved: Moved, ends: Questions) -> Floats:
     around = moved_by(ends[rows], moved, np.tile(ways_m.reshape(-1, 3), (count, 1)))
     own, beside = _values(ask(ends)), _values(ask(around)).reshape(count, *ways_m.shape[:2], 6)
     sizes_m = np.nan_to_num(_size_m(beside - own[:, None, None]))  # (2k, c, 6)
+    # The nearest distance at which the answer changes.  If it is CELLS_M[0], the inputs are not rounded.
     first = np.argmax(sizes_m > SAME_M, axis=1)[:, None]
     moves_m = np.where(first > 0, np.take_along_axis(sizes_m, first, axis=1), 0.0)
     return np.asarray(moves_m.max(axis=(1, 2)).reshape(-1, 2).min(axis=1))

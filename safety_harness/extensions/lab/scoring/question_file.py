@@ -1,8 +1,9 @@
-"""A scenario whose run begins with a given question, so that an engineer can examine a bad answer.
+"""Create a scenario whose run begins with a given question, so that an engineer can examine a bad answer.
 
-The hand rests at the question's hand, and the TCP starts at the question's TCP.  So the first control tick
-asks the question.  The question's seed derives from the scenario's seed.  Every scenario runs once before its
-file is written: the first question of that run must be the given question.
+In the scenario, the hand rests at the hand position of the question, and the TCP starts at the TCP position
+of the question.  The controller therefore asks the avoider this question in the first control tick.  The
+question's seed derives from the scenario's seed.  Before a file is written, the scenario runs once, and the
+first question in this run must be the given question.
 """
 
 from __future__ import annotations
@@ -42,8 +43,9 @@ LASTS_S = 0.4  # so short that a run contains only its first decision: a path of
 class QuestionFile:
     """The scenario file of a question.
 
-    ``path`` is None if no run can ask the question first; ``remark`` then states the reason.  The ``claims``
-    expect the verdicts that a run gave.  They omit each claim that was inconclusive.
+    If no run can begin with the question, ``path`` is None, and ``remark`` states the reason.  ``claims``
+    contains the claims of the scenario, whose expected verdicts are the verdicts of a run.  It omits the
+    claims that were inconclusive in this run.
     """
 
     path: Path | None
@@ -60,7 +62,10 @@ def seed_of(scenario_seed: int) -> int:
 def begins_clear(
     settings: Settings, hand_in_base_m: Array3, tcp_in_base_m: Array3, robot: AnyRobot = Robot.UR10
 ) -> bool:
-    """Return whether a hand, with its forearm pointing away from the TCP, is clear of the arm at the start.
+    """Return True if the hand does not touch the arm at the start.
+
+    The function assumes that the forearm points away from the TCP.  It returns False if the arm cannot reach
+    the TCP.
 
     Args:
         settings: The settings of the cell.
@@ -97,14 +102,17 @@ def question_file(
     settings: Settings = DEFAULTS,
     robot: AnyRobot = Robot.UR10,
 ) -> QuestionFile:
-    """Return the scenario file of a question, without writing it, after a run in the kinematic world.
+    """Return the scenario file of a question after a run in the kinematic world.
+
+    The function does not write the file.
 
     Args:
         path: The file.
-        reference: The avoider's name in the file; a relative path starts at the working directory.
+        reference: The reference to the avoider in the file.  A relative path is relative to the working
+            directory.
         avoider: The avoider.
-        hand_in_base_m: The question's hand.
-        tcp_in_base_m: The question's TCP.
+        hand_in_base_m: The hand position of the question.
+        tcp_in_base_m: The TCP position of the question.
         scenario_seed: The scenario's seed.
         title: The scenario's title.
         description: The scenario's description.
@@ -150,9 +158,10 @@ def question_file(
 
 
 def _variants(scenario: Scenario, hand_in_base_m: Array3, tcp_in_base_m: Array3) -> Iterator[Scenario]:
-    """Yield scenarios with three directions of the forearm, first with the object in place, then shifted.
+    """Yield variants of a scenario with three directions of the forearm and two positions of the object.
 
-    A caller tries several, because the forearm must be clear of the arm and the camera must see the object.
+    The caller uses the first variant in which the forearm does not touch the arm and the camera sees the
+    object.
     """
     away = hand_in_base_m - tcp_in_base_m
     outwards = np.array([hand_in_base_m[0], hand_in_base_m[1], 0.0])
@@ -174,7 +183,10 @@ def _variants(scenario: Scenario, hand_in_base_m: Array3, tcp_in_base_m: Array3)
 
 
 def _asked_another(trace: Trace, hand_in_base_m: Array3, tcp_in_base_m: Array3) -> str:
-    """Return how the run's first question differs from the given question; empty if they are the same."""
+    """Return a text on how the first question of a run differs from the given question.
+
+    The text is empty if they are the same.
+    """
     if len(trace.decisions) == 0:
         return "the run has no question, since the sensor does not see the hand"
     hand, tcp = question_of(trace, trace.decisions[0])

@@ -1,4 +1,4 @@
-"""Many questions to an avoider, and its answers, as arrays with one row per question."""
+"""Store many questions to an avoider, and its answers, as arrays with one row per question."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Rows = NDArray[np.int64] | NDArray[np.bool_] | slice
 
 @dataclass(frozen=True, eq=False)
 class Questions:
-    """Hands and TCPs (n, 3) in the base frame [m], and the seeds (n,) of the decisions."""
+    """Questions to an avoider: hands and TCPs in the base frame, shape (n, 3) [m], and seeds, shape (n,)."""
 
     hands_in_base_m: ArrayNx3
     tcps_in_base_m: ArrayNx3
@@ -30,12 +30,12 @@ class Questions:
         return Questions(self.hands_in_base_m[rows], self.tcps_in_base_m[rows], self.seeds[rows])
 
     def single(self, row: int) -> Question:
-        """Return the question in ``row``, in the form that an avoider takes."""
+        """Return the question in ``row`` as an object that can be passed to an avoider."""
         return Question(self.hands_in_base_m[row], self.tcps_in_base_m[row], int(self.seeds[row]))
 
     @classmethod
     def joined(cls, parts: list[Questions]) -> Questions:
-        """Return the questions of all ``parts``, one after another."""
+        """Return the concatenated questions of all ``parts``."""
         return cls(
             np.concatenate([np.empty((0, 3)), *(part.hands_in_base_m for part in parts)]),
             np.concatenate([np.empty((0, 3)), *(part.tcps_in_base_m for part in parts)]),
@@ -45,10 +45,12 @@ class Questions:
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """Proposed positions (n, 3) in the base frame and spreads (n, 3) [m], NaN for a missing answer.
+    """Answers of an avoider: proposed positions in the base frame and spreads, shape (n, 3) each [m].
 
-    ``thresholds_m`` (n,) are the largest spreads that the avoider accepts, NaN without a threshold.
-    ``faults`` maps the row of a missing answer to the reason.
+    The values of a missing answer are NaN.
+
+    ``thresholds_m`` contains the avoider's threshold of the spread for each answer, or NaN without a
+    threshold, shape (n,).  ``faults`` maps the row of a missing answer to the reason.
     """
 
     positions_in_base_m: ArrayNx3
@@ -62,7 +64,7 @@ class Answers:
 
     @property
     def given(self) -> NDArray[np.bool_]:
-        """Whether (n,) each question has an answer."""
+        """Whether each question has an answer, shape (n,)."""
         return np.asarray(np.isfinite(self.positions_in_base_m + self.spreads_m).all(axis=1))
 
     def __getitem__(self, rows: Rows) -> Answers:
@@ -73,7 +75,7 @@ class Answers:
 
     @classmethod
     def joined(cls, parts: list[Answers]) -> Answers:
-        """Return the answers of all ``parts``, one after another."""
+        """Return the concatenated answers of all ``parts``."""
         faults: dict[int, str] = {}
         first = 0
         for part in parts:

@@ -1,8 +1,8 @@
-"""Regions of questions: named regions of hands and TCPs, and the questions that draws of a space lead to.
+"""Define regions of questions to avoiders, that is, of pairs of hand and TCP.
 
-A region contains only pairs of hand and TCP about which a run can ask.  A run asks when a predicted hand is
-within the critical distance of the TCP, which is where the arm can be.  Pairs farther apart form their own
-region.
+A region contains only pairs that can occur in a run as a question to the avoider.  The controller asks the
+avoider if the predicted hand is within the critical distance of the TCP, and the arm can reach the TCP.
+Pairs with larger distances form a separate region.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Pairs = tuple[ArrayNx3, ArrayNx3]  # hands and TCPs in the base frame [m]
 Flags = NDArray[np.bool_]
 
 MOST_DRAWN, LEAST_DRAWN = 2_000, 200_000  # drawing ends after both: pairs per valid pair, and pairs in all
-AT_ONCE = 10_000
+AT_ONCE = 10_000  # pairs in a draw, at least; a choice
 FAR = "far"
 NAMED = (
     ("seen", "seen hand", "seen tcp"),
@@ -38,10 +38,11 @@ NAMED = (
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class QuestionRegion:
-    """A distribution of questions, with a test of whether pairs of hand and TCP belong to it.
+    """A distribution of questions, and a test of whether a pair of hand and TCP belongs to the region.
 
-    ``pairs`` draws independent pairs.  ``holds`` tells whether pairs belong to the region, so that a search
-    for near questions stays in it.  ``asked_in_runs`` tells whether a run can ask the questions.
+    ``pairs`` draws independent random pairs.  ``holds`` returns which pairs belong to the region, so that a
+    search for neighbouring questions remains in the region.  ``asked_in_runs`` is True if the questions can
+    occur in a run.
     """
 
     name: str
@@ -53,22 +54,28 @@ class QuestionRegion:
     robot: AnyRobot = Robot.UR10
 
     def draw(self, rng: Generator, count: int) -> Questions:
-        """Return ``count`` independent questions; return fewer, or none, if valid pairs are too rare."""
+        """Return ``count`` independent random questions.
+
+        If valid pairs are too rare, the result contains fewer questions, or may be empty.
+        """
         hands, tcps = np.empty((0, 3)), np.empty((0, 3))
         drawn = 0
         while len(hands) < count and drawn < max(MOST_DRAWN * len(hands), LEAST_DRAWN):
             more = self.pairs(rng, max(count, AT_ONCE))
             drawn += max(count, AT_ONCE)
             kept = np.flatnonzero(self.holds(*more))[: count - len(hands)]
+            # Inverse kinematics takes longest, so only pairs of the region reach this test.
             kept = kept[reachable(more[1][kept], self.settings, self.robot)]
             hands, tcps = np.concatenate([hands, more[0][kept]]), np.concatenate([tcps, more[1][kept]])
         return Questions(hands, tcps, rng.integers(0, 2**63, len(hands), dtype=np.uint64))
 
 
 def named_regions(seen: SeenRegions, settings: Settings) -> tuple[QuestionRegion, ...]:
-    """Return the four regions of an avoider's training (Table 3), and a far region that no run asks about.
+    """Return the four regions of Table 3 for an avoider's training data, and a far region.
 
-    The far region covers the boxes of all four regions.
+    The questions of the far region cannot occur in a run.
+
+    It contains the distant pairs in the boxes of all four regions.
 
     Args:
         seen: The regions of the avoider's training data.
@@ -111,5 +118,8 @@ def named_regions(seen: SeenRegions, settings: Settings) -> tuple[QuestionRegion
 
 
 def are_near(hands: ArrayNx3, tcps: ArrayNx3, near_m: float) -> Flags:
-    """Return whether (n,) each of ``hands`` (n, 3) is within ``near_m`` of its TCP in ``tcps`` (n, 3)."""
+    """Return whether the distance of each hand from its TCP is below ``near_m``, shape (n,).
+
+    ``hands`` and ``tcps`` have the shape (n, 3).
+    """
     return np.asarray(np.linalg.norm(hands - tcps, axis=1) < near_m)

@@ -1,9 +1,9 @@
-"""Repeatability: whether an avoider gives the same answers to the same questions in every way of asking.
+"""Check repeatability: an avoider must always give the same answers to the same questions.
 
-Each repetition is compared, by bits, with the very first answers.  Findings ignore differences of less than a
-nanometre, because the size of a batch may change the order of a sum.  Some avoiders remember earlier
-questions, look at the clock, mix the questions of a batch, or differ from process to process.  At least one
-of the ways of asking changes the answers of each such avoider.
+The module repeats the questions in several ways and compares the bits of the answers with the first answers.
+Findings ignore differences of less than a nanometre, because the size of a batch may change the order of a
+sum.  The answers of a faulty avoider may depend on earlier questions, on the time, on other questions in the
+batch, or on the process.  At least one of the ways of asking reveals each of these faults.
 """
 
 from __future__ import annotations
@@ -28,11 +28,13 @@ INTERLEAVED = 200  # the most questions to two instances in turn, which answer t
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """An avoider under test: its reference as for ``--avoider``, an instance, and functions that create more.
+    """An avoider under test: its reference, an instance, and functions that create further instances.
 
-    ``another`` creates an instance as the program does in a run, where instances may share a process.
-    ``apart`` creates an instance that shares as little as possible.  It has its own process if ``in_process``
-    is False.
+    ``reference`` has the same form as for ``--avoider``.
+
+    ``another`` creates an instance in the same way as a run does; such instances may share a process.
+    ``apart`` creates an instance that shares as little as possible with other instances.  If ``in_process``
+    is False, this instance has its own process.
     """
 
     reference: str
@@ -43,7 +45,10 @@ class Subject:
 
     @classmethod
     def from_reference(cls, reference: str, place: Place | None = None) -> Subject:
-        """Return the subject of ``reference``; raise the errors of ``resolve_avoider`` at ``place``."""
+        """Return the subject for the avoider ``reference``.
+
+        The errors of ``resolve_avoider`` refer to ``place``.
+        """
         scenario, at = scenario_of_avoider(reference), place or Place(field="--avoider")
 
         def separate() -> Avoider:
@@ -62,13 +67,13 @@ class Subject:
 
 
 def repeats(subject: Subject, sample: Questions, first: Answers, alone: int) -> Iterator[AskedAgain]:
-    """Yield a comparison for every way of asking except ``ALONE`` and ``LATER``.
+    """Repeat the questions in every way except ``ALONE`` and ``LATER``, and yield the comparisons.
 
     Args:
         subject: The avoider.
         sample: The questions.
-        first: The first answers to ``sample``, given before any other question.
-        alone: The largest number of questions that are asked one at a time.
+        first: The answers to ``sample`` that the avoider gave before any other question.
+        alone: The largest number of questions to ask one at a time.
 
     """
     avoider, outside = subject.avoider, not subject.in_process
@@ -84,7 +89,10 @@ def repeats(subject: Subject, sample: Questions, first: Answers, alone: int) -> 
 
 
 def _in_turn(subject: Subject, sample: Questions) -> Answers:
-    """Return the answers of one instance, which takes turns with a second that is asked in reverse order."""
+    """Return the answers of one of two instances that answer alternately.
+
+    The second instance receives the questions in reverse order.
+    """
     first, second = subject.another(), subject.another()
     answers = []
     for row in range(len(sample)):
@@ -96,18 +104,19 @@ def _in_turn(subject: Subject, sample: Questions) -> Answers:
 def compared(
     mode: WayOfAsking, sample: Questions, first: Answers, second: Answers, *, outside: bool = False
 ) -> AskedAgain:
-    """Return the comparison, by bits, of first and second answers to the same questions.
+    """Compare the bits of first and second answers to the same questions.
 
     Args:
-        mode: The way of asking the second time.
+        mode: The way in which the questions were repeated.
         sample: The questions.
-        first: The answers of the first time.
-        second: The answers of the second time.
-        outside: Whether the second time was in another process.
+        first: The first answers.
+        second: The second answers.
+        outside: Whether the second answers come from another process.
 
     """
     mine, theirs = _numbers(first), _numbers(second)
     differs = (mine.view(np.uint64) != theirs.view(np.uint64)).any(axis=1)
+    # Two missing answers are equal, whatever bits their NaN have.
     differs &= np.isfinite(mine[:, :6]).all(axis=1) | np.isfinite(theirs[:, :6]).all(axis=1)
     faults = [first.faults.get(row) != second.faults.get(row) for row in range(len(sample))]
     differs |= np.array(faults, dtype=np.bool_)
@@ -125,16 +134,19 @@ def compared(
 
 
 def _numbers(answers: Answers) -> NDArray[np.float64]:
-    """Return positions, spreads and thresholds side by side (n, 7)."""
+    """Return an array with the positions, spreads and thresholds as columns, shape (n, 7)."""
     return np.ascontiguousarray(
         np.column_stack([answers.positions_in_base_m, answers.spreads_m, answers.thresholds_m])
     )
 
 
 def after_others(sample: Questions) -> tuple[Questions, NDArray[np.int64]]:
-    """Return the questions, a different one before each of them, and the rows of the original questions.
+    """Insert a different question before each question, and return all questions.
 
-    In turn, the question before is nearly the same, has another hand, has another TCP, or differs in both.
+    The second result contains the rows of the original questions.
+
+    Four kinds of inserted questions alternate: nearly the same question, another hand, another TCP, and both
+    another hand and another TCP.
     """
     n = len(sample)
     rows, turn = np.arange(n), np.arange(n) % 4

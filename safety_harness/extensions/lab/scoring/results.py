@@ -1,4 +1,4 @@
-"""The results of a session of scoring, for its files and its page: cards, findings and searches."""
+"""The results of a scoring session: cards, findings and searches, for its files and its page."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from safety_harness.extensions.lab.scoring.worst import Objective, QuestionSearc
 
 @dataclass(frozen=True, eq=False)
 class ShownQuestion:
-    """A worst question that the search found, with the scenario file that asks it."""
+    """A question with a very bad answer that a search found, and a scenario file whose run begins with it."""
 
     objective: Objective
     tried: Tried
@@ -21,17 +21,21 @@ class ShownQuestion:
 
 @dataclass(eq=False)
 class ScoredAvoider:
-    """The results of one avoider: its ``card``, and the cards of ``yardsticks`` on the same questions.
+    """The results of one avoider.
 
-    If there is a reference avoider, its card is the first of the yardsticks.  ``searches`` and ``worst`` have
-    their own ledger and enter no figure of the card.  ``left_out`` states why no run begins with further
-    worst questions.
+    ``card`` is the avoider's card, and ``yardsticks`` contains the cards of the yardsticks for the same
+    questions.
 
-    ``findings`` decide whether the avoider passes.  ``unlike`` lists differences from the yardsticks that are
-    no fault if the avoider has another purpose.
+    If there is a reference avoider, its card is the first in ``yardsticks``. ``searches`` and ``worst`` are
+    the results of searches, which do not affect the statistics in the card. A search may find questions for
+    which no scenario file can be written. ``left_out`` lists the reasons.
 
-    ``reference`` is the user's name of the avoider.  ``sha256`` is the hash of its file, empty without a
-    file.  ``settings`` has the settings of each region, in the regions' order.
+    An avoider passes if ``findings`` is empty.  ``unlike`` lists differences from the yardsticks that are
+    acceptable if the avoider has another purpose than the yardsticks.
+
+    ``reference`` is the user's reference to the avoider.  ``sha256`` is the hash of the avoider's file, or
+    empty if the avoider has no file.  ``settings`` contains the settings for each region, in the order of the
+    regions.
     """
 
     reference: str
@@ -48,10 +52,10 @@ class ScoredAvoider:
 
 @dataclass(eq=False)
 class Scored:
-    """The results of a session; ``budget`` is the number of questions in each avoider's search.
+    """The results of a scoring session; ``budget`` is the number of questions in the search for each avoider.
 
-    ``failed`` lists each avoider that has no score, with the reason.  ``remarks`` lists warnings.
-    ``against`` is the user's name of the reference avoider, empty without one.
+    ``failed`` lists the avoiders without a score, with the reasons.  ``remarks`` lists warnings.  ``against``
+    is the user's reference to the reference avoider, or empty if there is no reference avoider.
     """
 
     seed: int
@@ -64,5 +68,5 @@ class Scored:
 
     @property
     def findings(self) -> int:
-        """The number of findings on all avoiders."""
+        """The total number of findings on all avoiders."""
         return sum(len(avoider.findings) for avoider in self.avoiders)

@@ -1,8 +1,8 @@
-"""The score of an avoider: its answers in each region, their jumps and repeatability, and its answer times.
+"""Score an avoider: its answers in each region, their jumps, their repeatability, and the answer times.
 
-Three yardsticks answer the same questions: the closed-form optimum, the paper's target
-(``nearest candidate``) and ``mc-dropout``.  The seed and ``Counts`` determine every figure except the times.
-A slow avoider receives fewer questions; ``Counts.at_pace`` lowers the numbers in a few coarse steps.
+Three yardsticks answer the same questions: the closed-form optimum, the paper's target (``nearest
+candidate``) and ``mc-dropout``.  The seed and ``Counts`` determine every result except the times.  A slow
+avoider receives fewer questions, whose numbers ``Counts.at_pace`` reduces in a few coarse steps.
 """
 
 from __future__ import annotations
@@ -49,11 +49,14 @@ _QUESTIONS, _SEGMENTS, _PACE = 0, 1, 2  # last keys of random streams, after the
 
 @dataclass(frozen=True)
 class Counts:
-    """The numbers of questions: in the ``first`` region, in each ``other`` region, and in a ``far`` region.
+    """The numbers of questions for one avoider.
 
-    A region is far if no run can ask its questions.  In each other region, the hand moves on ``segments``
-    segments, and the TCP moves on as many.  ``alone`` is the number of questions that are asked one at a
-    time.  ``sample`` is the number of questions that are asked again.
+    The first region has ``first`` questions. Each further region has ``far`` questions if it is far, and
+    otherwise ``other`` questions.
+
+    A region is far if its questions cannot occur in a run.  In each region that is not far, there are
+    ``segments`` segments on which the hand moves, and as many on which the TCP moves.  The avoider receives
+    ``alone`` questions one at a time, and it receives ``sample`` questions repeatedly.
     """
 
     first: int = 30_000
@@ -65,19 +68,20 @@ class Counts:
 
     @classmethod
     def from_total(cls, questions: int) -> Counts:
-        """Return counts with ``questions`` in the first region, and all other counts in proportion."""
+        """Return counts with ``questions`` in the first region, and all other counts scaled accordingly."""
         return cls()._times(questions / cls.first)
 
     def _times(self, share: float) -> Counts:
-        """Return all counts multiplied by ``share``, but at least 20 each."""
+        """Multiply all counts by ``share``; a count does not fall below 20."""
         return Counts(*(max(round(count * share), 20) for count in vars(self).values()))
 
     def at_pace(self, each_s: float, alone_s: float) -> Counts:
-        """Return the counts for an avoider's pace, halved up to eight times if it is slow.
+        """Return the counts for an avoider's speed, halved up to eight times if the avoider is slow.
 
         Args:
-            each_s: The time per question if many are asked together.
-            alone_s: The time of a question that is asked alone; a long time lowers ``alone`` further.
+            each_s: The time per question if the avoider receives many questions together.
+            alone_s: The time per question if the avoider receives one question at a time.  A long time
+                reduces ``alone`` further.
 
         """
         share = 2.0 ** -np.clip(np.ceil(np.log2(max(each_s, 1e-9) / QUICK_S)), 0, 8)
@@ -87,7 +91,7 @@ class Counts:
 
 @dataclass(frozen=True)
 class ClosedForm:
-    """The yardstick that answers with the closed form of the networks' target."""
+    """The yardstick that answers with the continuous optimum of eq. 13, computed in closed form."""
 
     settings: Settings = DEFAULTS
     name: str = OPTIMUM
@@ -95,9 +99,9 @@ class ClosedForm:
     def propose_many(
         self, hands_in_base_m: Vectors, tcps_in_base_m: Vectors, seeds: NDArray[np.uint64]
     ) -> tuple[Vectors, Vectors]:
-        """Return eq. 13 with the continuous optimum, and zero spreads, both (n, 3), for n hands and TCPs.
+        """Return the targets of eq. 13 with the continuous optimum, and zero spreads, shape (n, 3) each.
 
-        ``seeds`` (n,) have no effect.
+        The method ignores ``seeds``.
         """
         positions = optimum_in_base_m(self.settings, hands_in_base_m, tcps_in_base_m)
         return positions, np.zeros_like(positions)
@@ -105,7 +109,11 @@ class ClosedForm:
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """Return the answer for ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,)."""
+        """Return the answer for a hand and a TCP.
+
+        ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` have the shape (3,).  The method ignores
+        ``seed``.
+        """
         hands, tcps = np.asarray(hand_position_in_base_m)[None], np.asarray(tcp_position_in_base_m)[None]
         return Proposal(optimum_in_base_m(self.settings, hands, tcps)[0])
 
@@ -128,21 +136,21 @@ def score(
     on_step: OnStep = _ignore,
     on_region: Callable[[Scorecard], object] = _ignore,
 ) -> Scorecard:
-    """Return the card of an avoider: its scores in every region, its repeatability and its answer times.
+    """Score an avoider, and return its card with scores in every region, repeatability and answer times.
 
     Args:
         subject: The avoider.
         regions: The regions.
         seed: The root of all random numbers.
-        counts: The numbers of questions; None if the avoider's pace decides.
-        seen: The name of the source that defines the regions' seen space.
-        on_step: Receives the name of each step.
-        on_region: Receives the unfinished card after each region, so that an interruption loses at most one
-            region.
+        counts: The numbers of questions.  None means that the avoider's speed determines them.
+        seen: The name of the source that defines the seen space of the regions.
+        on_step: A function that receives the name of each step.
+        on_region: A function that receives the unfinished card after each region, so that an interruption
+            loses at most one region.
 
     Raises:
-        IndexError: There is no region.
-        NoAnswerError: The avoider does not answer, or hangs.
+        IndexError: ``regions`` is empty.
+        NoAnswerError: The avoider does not answer, or does not return from a call.
 
     """
     avoider, settings = subject.avoider, regions[0].settings
@@ -181,13 +189,13 @@ def score(
 def yardsticks(
     regions: Sequence[QuestionRegion], *, seed: int, counts: Counts, on_step: OnStep = _ignore
 ) -> tuple[Scorecard, ...]:
-    """Return a card for each of ``YARDSTICKS``, in their order, from the same questions as in ``score``.
+    """Return a card for each of the ``YARDSTICKS``, for the same questions as in ``score``.
 
     Args:
         regions: The regions.
         seed: The root of all random numbers.
         counts: The numbers of questions.
-        on_step: Receives the name of each yardstick.
+        on_step: A function that receives the name of each yardstick.
 
     """
     drawn = drawn_questions(regions, seed, counts)
@@ -211,7 +219,9 @@ def yardsticks(
 
 
 def drawn_questions(regions: Sequence[QuestionRegion], seed: int, counts: Counts) -> list[Questions]:
-    """Return the questions of each region, which depend on that region, its number, ``seed`` and ``counts``.
+    """Draw the questions of each region.
+
+    They depend only on the region, its number, ``seed`` and ``counts``.
 
     Args:
         regions: The regions.
@@ -229,16 +239,17 @@ def drawn_questions(regions: Sequence[QuestionRegion], seed: int, counts: Counts
 
 
 def paced(subject: Subject, region: QuestionRegion, seed: int) -> Counts:
-    """Return the numbers of questions that the avoider's pace allows.
+    """Return the numbers of questions that are suitable for the avoider's speed.
 
-    A second instance answers trial questions, because the scored instance must start without experience.
-    The function repeats the trial and keeps the shortest time.  For an avoider in this process it measures
-    the processor's time, so that a busy machine hardly lowers the counts.
+    A second instance of the avoider answers trial questions, because the first instance must not receive any
+    question before it is scored.  The function repeats the trial and uses the shortest time.  For an avoider
+    in this process, it measures the processor's time, so that other work on the machine hardly changes the
+    counts.
 
     Args:
         subject: The avoider.
         region: The region of the trial questions.
-        seed: The root of the trial questions.
+        seed: The root of the random trial questions.
 
     """
     few = region.draw(generator(seed, Branch.SCORING, 0, _PACE), PROBE)
@@ -252,14 +263,17 @@ def paced(subject: Subject, region: QuestionRegion, seed: int) -> Counts:
 
 
 def _took_s(do: Callable[[], object]) -> tuple[float, float]:
-    """Return how long a call of ``do`` takes [s], by the wall clock and by the processor's clock."""
+    """Return the wall-clock time and the processor time of a call of ``do`` [s]."""
     begun_s, processor_s = time.perf_counter(), time.process_time()
     do()
     return time.perf_counter() - begun_s, time.process_time() - processor_s
 
 
 def _sample(regions: Sequence[QuestionRegion], drawn: Sequence[Questions], count: int) -> Questions:
-    """Return ``count`` questions: equally many, the first ones, from each region that runs can ask about."""
+    """Return ``count`` questions that can occur in runs.
+
+    They are the first questions of each region, with equal numbers for all regions.
+    """
     usable = [
         questions for region, questions in zip(regions, drawn, strict=True) if region.asked_in_runs
     ] or list(drawn)
@@ -275,7 +289,7 @@ def _by_region(
     counts: Counts,
     on_step: OnStep,
 ) -> Iterator[tuple[RegionScore, list[Jumps]]]:
-    """Yield the score and the jumps of each region."""
+    """Score the avoider in each region, and yield the score and the jumps."""
     for number, (region, questions) in enumerate(zip(regions, drawn, strict=True)):
         on_step(region.name)
         scored = _scored(avoider, region, questions)
@@ -295,7 +309,7 @@ def _scored(avoider: Avoider, region: QuestionRegion, questions: Questions) -> R
 
 
 def _times(avoider: Avoider, times_s: Sequence[float], settings: Settings) -> AnswerTimes:
-    """Return the figures of the measured answer times ``times_s``."""
+    """Return statistics of the measured answer times ``times_s``."""
     deadline_s, all_s = settings.avoidance.decision_deadline_s, np.array(times_s)
     return AnswerTimes(
         questions=len(all_s),

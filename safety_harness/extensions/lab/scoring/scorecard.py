@@ -1,7 +1,8 @@
-"""The data of an avoider's direct evaluation: figures with intervals for each region, without logic.
+"""The data classes for the results of scoring an avoider.
 
-Lengths are in metres, angles in radians, times in seconds, and positions in the base frame.  A figure is None
-if it is unavailable (without any answer, or without a spread), so that it never looks good.
+Lengths are in metres, angles in radians, and times in seconds.  Positions are in the base frame.  A statistic
+that is unavailable is None, so that it cannot look like a good value.  For example, there may be no answer or
+no spread.
 """
 
 from __future__ import annotations
@@ -14,15 +15,15 @@ from safety_harness.base.settings import Vector3
 from safety_harness.cell.avoidance.asking import Question
 from safety_harness.extensions.lab.scoring.questions import Answers, Questions
 
-JUMP_M = 0.0005
+JUMP_M = 0.0005  # half a millimetre; a choice
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A number with an interval that contains the true value with a probability of at least 95 %.
+    """An estimate with a 95 % confidence interval.
 
-    For quantiles, order statistics give the exact interval.  For ranks and means, the interval comes from the
-    normal distribution.
+    The interval of a quantile is exact, and its ends are order statistics.  The intervals of a mean and of a
+    rank correlation are approximations by the normal distribution.
     """
 
     value: float
@@ -34,9 +35,10 @@ class Figure:
 class ScoredQuestion:
     """One question with its answer, for lists of the worst questions.
 
-    ``off_m`` is the distance to the closed-form optimum.  ``gained_m`` is the component of the step away from
-    the hand; it is negative towards the hand.  ``spread_m`` is the largest of the three spreads.  The three
-    are NaN if the answer is missing; ``fault`` then states the reason.
+    ``off_m`` is the distance to the closed-form optimum.  ``gained_m`` is the component of the step in the
+    direction away from the hand, so it is negative for a step towards the hand.  ``spread_m`` is the largest
+    of the spreads on the three axes.  If the answer is missing, these three values are NaN, and ``fault``
+    states the reason.
     """
 
     region: str
@@ -52,11 +54,11 @@ class ScoredQuestion:
 class Spreads:
     """The quality of the spreads that an avoider declares.
 
-    ``within[k - 1][axis]`` is the share of errors within k spreads.  ``error_to_spread`` is the rms error
-    divided by the rms spread over all axes together; above 1 the avoider is too sure.  ``by_axis`` is the
-    same ratio for each axis.  ``rank`` is Spearman's correlation of the largest spread with the error; None
-    if one of the two is constant.  ``honest_rank`` is the same correlation for simulated errors.  These
-    errors are normally distributed with exactly the declared spreads.
+    ``within[k - 1][axis]`` is the fraction of errors within k spreads.  ``error_to_spread`` is the RMS error
+    divided by the RMS spread, over all axes.  A ratio above 1 means that the spreads are too small.
+    ``by_axis`` contains the same ratio for each axis.  ``rank`` is Spearman's correlation between the largest
+    spread and the error, or None if all spreads or all errors are equal.  ``honest_rank`` is the same
+    correlation for simulated errors, whose standard deviations are the declared spreads.
     """
 
     within: tuple[tuple[Proportion, Proportion, Proportion], ...]
@@ -69,28 +71,29 @@ class Spreads:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RegionScore:
-    """The figures of one avoider in one region.
+    """The statistics of one avoider's answers in one region.
 
-    ``answered`` is a share of the questions.  All other proportions are shares of the given answers.
-    ``asked_in_runs`` tells whether a run can ask these questions.  If the region has no pair about which a
-    run can ask, ``about`` says so and every figure is None.
+    ``answered`` is a fraction of the questions, and all other proportions are fractions of the given answers.
+    ``asked_in_runs`` is True if these questions can occur in a run.  If no pair in the region can occur in a
+    run, ``about`` states this, and every statistic is None.
 
-    ``in_reach`` is the share that the arm reaches, at least the clearance above the table.  ``gained_m`` is
-    the component of the step away from the hand.  ``angle_rad`` is the angle between the step and that
-    direction.  Names with ``off`` refer to the distance to the closed-form optimum.  ``bias_in_base_m`` is
-    the mean error.
+    ``in_reach`` is the fraction of answers that the arm can reach and whose height above the table is at
+    least the clearance.  ``gained_m`` is the component of the step in the direction away from the hand.
+    ``angle_rad`` is the angle between the step and this direction.  Fields with ``off`` in their names are
+    distances to the closed-form optimum.  ``bias_in_base_m`` is the mean error.
 
-    ``pull`` is the growth of the error with the hand's position at a fixed TCP, by least squares.  It is a
-    matrix (3, 3) in metres per metre, whose rows are the axes of the error.  ``scale`` is the growth of the
-    error with the TCP's position.  Both are 0 for the optimum.  An avoider that ignores the hand has a pull
-    of 0.05 on the diagonal.
+    ``pull`` is the slope of the error with respect to the hand's position at a fixed TCP, fitted by least
+    squares.  It is a matrix of shape (3, 3) in metres per metre, whose rows are the axes of the error.
+    ``scale`` is the slope of the error with respect to the TCP's position.  For the optimum, ``pull`` and
+    ``scale`` are 0.  If an avoider ignores the hand, the diagonal of ``pull`` is 0.05.
 
-    An answer is sure if no spread exceeds the avoider's own threshold.  ``wrong_and_sure`` is the share of
-    sure answers more than ``WRONG_M`` off.  ``sure_and_unsafe`` is the share of sure answers towards the hand
-    or out of reach.  ``stuck`` is the largest share of answers with the very same coordinate, which an
-    avoider gives if it clips or has collapsed.  If answers are rounded, ``stuck`` is lowered by twice the
-    number at the next coordinates.  ``step_m`` is the largest difference between two neighbours in the
-    answers' number format, 0 in double precision.
+    An answer is sure if no spread exceeds the avoider's own threshold.  ``wrong_and_sure`` is the fraction of
+    answers that are sure and more than ``WRONG_M`` from the optimum.  ``sure_and_unsafe`` is the fraction of
+    answers that are sure and lead towards the hand or out of reach.  ``stuck`` is the largest fraction of
+    answers with an identical coordinate, which occurs if the avoider clips its answers or its training has
+    collapsed.  If the answers are rounded, ``stuck`` is reduced by twice the number of answers at
+    neighbouring coordinates.  ``step_m`` is the largest difference between neighbouring numbers in the
+    answers' number format, or 0 for double precision.
     """
 
     region: str
@@ -121,7 +124,7 @@ class RegionScore:
 
 
 class Moved(Enum):
-    """The position that moves between two near questions."""
+    """The position that differs between two neighbouring questions."""
 
     HAND = "the hand"
     TCP = "the TCP"
@@ -129,7 +132,7 @@ class Moved(Enum):
 
 @dataclass(frozen=True, eq=False)
 class AnswerChange:
-    """Two near questions that differ in one position, and the distance between their answers."""
+    """Two neighbouring questions that differ in one position, and the distance between their answers."""
 
     moved: Moved
     before: Question
@@ -140,13 +143,13 @@ class AnswerChange:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Jumps:
-    """The jumps of answers along straight segments, on which the hand or the TCP moves and the seed stays.
+    """The jumps of answers on straight segments, on which the hand or the TCP moves and the seed is constant.
 
-    ``jumped`` is the share of segments where the answers to two questions ``NEAR_M`` apart differ by more
-    than ``limit_m``.  It is a lower bound, because the search divides only the most uneven segments so far.
-    ``largest`` is the largest such jump; None without a jump.  ``steepest`` is the change with the steepest
-    slope over about 1 mm.  ``step_m`` is a step of the answers' number format, or the assumed step of an
-    avoider that answers in steps.
+    ``jumped`` is the fraction of segments on which the answers to two questions with the distance ``NEAR_M``
+    differ by more than ``limit_m``.  This is a lower bound, because the search divides only the most uneven
+    segments into such small parts.  ``largest`` is the largest such jump, or None if there is no jump.
+    ``steepest`` is the change with the steepest slope over a distance of about 1 mm.  ``step_m`` is a step of
+    the answers' number format, or the assumed step of an avoider that answers in steps.
     """
 
     region: str
@@ -159,12 +162,12 @@ class Jumps:
 
     @property
     def limit_m(self) -> float:
-        """The largest change [m] that is no jump: half a millimetre, or two steps if these are longer."""
+        """The largest change [m] that is no jump: half a millimetre or two steps, whichever is larger."""
         return max(JUMP_M, 2.0 * self.step_m)
 
 
 class WayOfAsking(Enum):
-    """The ways of asking the same questions a second time."""
+    """The ways of asking the same questions again."""
 
     AGAIN = "asked again"
     ORDER = "asked in another order"
@@ -177,11 +180,12 @@ class WayOfAsking(Enum):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class AskedAgain:
-    """A comparison, by bits, of the answers to the same questions, asked twice.
+    """A bitwise comparison of first and second answers to the same questions.
 
     ``differ`` is the number of questions with different answers.  ``largest_m`` is the largest difference of
-    a position, a spread or a threshold; infinite if one of two answers is missing.  ``apart`` tells whether
-    another process gave the second answers; only avoiders from executed files have one.
+    a position, a spread or a threshold.  It is infinite if only one of two answers is missing.  ``apart`` is
+    True if another process gave the second answers.  This is possible only for an avoider from an executed
+    file.
     """
 
     way: WayOfAsking
@@ -194,9 +198,9 @@ class AskedAgain:
 
 @dataclass(frozen=True)
 class AnswerTimes:
-    """The answer times on this machine, measured one question at a time; they vary between sessions.
+    """The answer times on this machine, measured one question at a time.
 
-    No other figure depends on these times.
+    The times vary between sessions, and no other result depends on them.
     """
 
     questions: int
@@ -210,7 +214,7 @@ class AnswerTimes:
 
 @dataclass(frozen=True, eq=False)
 class Scorecard:
-    """All figures of one avoider; the card of a yardstick has neither repeats nor times."""
+    """All results of scoring one avoider; the card of a yardstick has no repeats and no times."""
 
     avoider: str  # its reference
     name: str  # its own name
@@ -223,7 +227,7 @@ class Scorecard:
 
 
 class Kind(Enum):
-    """The kinds of findings; the value is the name on pages and in files."""
+    """The kinds of findings; the value is the name of a kind on pages and in files."""
 
     NO_ANSWER = "no answer"
     LEADS_TOWARDS = "leads towards the hand"
@@ -255,10 +259,12 @@ UNSAFE_OF_NETWORK = UNSAFE | {Kind.WRONG_AND_SURE, Kind.SPREAD_MISSES}
 
 @dataclass(frozen=True, eq=False)
 class ScoreFinding:
-    """One limit that an avoider exceeds; ``words`` states the figure, its unit and the limit.
+    """A finding: an avoider exceeds a limit.
 
-    ``region`` is empty if the finding belongs to no region.  ``questions`` are examples of the finding, the
-    clearest first.
+    ``words`` states the value, its unit and the limit.
+
+    ``region`` is empty if the finding does not refer to a region.  ``questions`` contains examples of the
+    finding, beginning with the clearest.
     """
 
     kind: Kind

@@ -1,4 +1,4 @@
-"""A session of scoring: it scores avoiders beside yardsticks, and searches for their worst questions."""
+"""Score avoiders, compare them with yardsticks, and search for the questions with their worst answers."""
 
 from __future__ import annotations
 
@@ -41,15 +41,16 @@ AVOIDER = Place(field="AVOIDER")
 
 @dataclass(eq=False)
 class ScoringSession:
-    """A session of scoring: the user's choices, and the method ``run`` that scores the avoiders.
+    """A scoring session: the user's choices, and the method ``run``, which scores the avoiders.
 
-    ``references`` name the avoiders.  ``questions`` is the number of questions in the first region; None if
-    each avoider's pace decides.  ``budget`` is the number of questions in an avoider's search.  The session
-    writes the worst questions as files into ``out``; None means no files.  ``regions`` lists names of
-    regions, and ``spaces`` lists files of spaces; if both are empty, the session takes all named regions.
-    ``against`` names a reference avoider.  ``on_step`` receives the next step and the finished share of the
-    steps.  ``replaces`` lists files of an earlier session.  The session removes them before the first
-    question, so that nobody mistakes them for its own results.
+    ``references`` lists references to the avoiders.  ``questions`` is the number of questions in the first
+    region, or None if each avoider's speed determines it.  ``budget`` is the number of questions in the
+    search for each avoider.  The session writes scenario files of the worst questions to the folder ``out``,
+    or no files if ``out`` is None.  ``regions`` lists names of regions, and ``spaces`` lists files of
+    scenario spaces.  If both lists are empty, the session uses all named regions.  ``against`` is the
+    reference to a reference avoider.  The session calls ``on_step`` with a text about the next step and the
+    finished fraction of the steps.  ``replaces`` lists files of an earlier session.  The session removes
+    these files before the first question, so that they cannot be mistaken for its own results.
     """
 
     references: Sequence[str]
@@ -72,7 +73,10 @@ class ScoringSession:
         self._space_regions = [space_region(read_space(path), self.seed) for path in self.spaces]
 
     def run(self) -> Scored:
-        """Score all avoiders; Ctrl-C ends the session, which keeps all finished avoiders and regions."""
+        """Score all avoiders.
+
+        If Ctrl-C ends the session, the result contains all finished avoiders and regions.
+        """
         subjects = [
             (Subject.from_reference(entry, AVOIDER), self._regions(entry)) for entry in self.references
         ]  # a wrong name is found before the first question
@@ -103,7 +107,7 @@ class ScoringSession:
         return self.scored
 
     def _step(self, text: str) -> None:
-        """Report the next step, ``text``; yardsticks that are already scored add no step."""
+        """Call ``on_step`` with a text about the next step and the progress."""
         self.on_step(text, min(self._steps_done / self._steps, 0.99))
         self._steps_done += 1
 
@@ -112,7 +116,7 @@ class ScoringSession:
         return seen_by(reference, folder=None, settings=DEFAULTS)
 
     def _regions(self, reference: str) -> list[QuestionRegion]:
-        """Return the regions in which to score an avoider; raise ScenarioError if a name is unknown."""
+        """Return the regions in which to score an avoider, and raise ScenarioError if a name is unknown."""
         named = named_regions(self._seen(reference), DEFAULTS)
         names = [region.name for region in named]
         for name in self.regions:
@@ -124,7 +128,10 @@ class ScoringSession:
         return [region for region in named if region.name in wanted] + self._space_regions
 
     def _take(self, subject: Subject, regions: list[QuestionRegion], rival: Subject | None = None) -> None:
-        """Score one avoider, beside ``rival`` if there is one, and search for its worst questions."""
+        """Score one avoider, and search for its worst questions.
+
+        If there is a ``rival``, the method scores it too and compares both.
+        """
         reference, counts = subject.reference, self._counts(subject, regions)
         seen = self._seen(reference).source
 
@@ -171,13 +178,13 @@ class ScoringSession:
         self._search(self.scored.avoiders[-1], subject, regions, say)
 
     def _counts(self, subject: Subject, regions: list[QuestionRegion]) -> Counts:
-        """Return the numbers of questions for an avoider."""
+        """Return the numbers of questions to ask an avoider."""
         if self.questions is not None:
             return Counts.from_total(self.questions)
         return paced(subject, regions[0], self.seed)
 
     def _yardsticks(self, regions: list[QuestionRegion], counts: Counts) -> tuple[Scorecard, ...]:
-        """Return the yardsticks' cards; avoiders that answer the same questions share the cards."""
+        """Return the cards of the yardsticks, which are the same for all avoiders with the same questions."""
         key = (counts, *(region.about for region in regions))
         if key not in self._cards:
             self._cards[key] = yardsticks(regions, seed=self.seed, counts=counts, on_step=self._step)
@@ -190,7 +197,11 @@ class ScoringSession:
         regions: list[QuestionRegion],
         say: Callable[[str], None],
     ) -> None:
-        """Search for the worst questions; the regions that runs can ask about share the budget evenly."""
+        """Search for the worst questions, and write their scenario files.
+
+        The method searches the regions whose questions can occur in a run, and divides the budget equally
+        among them.
+        """
         posed = [(number, region) for number, region in enumerate(regions) if region.asked_in_runs]
         for number, region in posed:
             if self.budget:
@@ -209,7 +220,10 @@ class ScoringSession:
         regions: list[QuestionRegion],
         say: Callable[[str], None],
     ) -> None:
-        """Write the worst questions with which a run can begin; for the rest, list why no run can."""
+        """Write scenario files of the worst questions.
+
+        If no run can begin with a question, list the reason instead.
+        """
         slug = _slug(scored.reference) + (f"-{len(self.scored.avoiders)}" if len(self.references) > 1 else "")
         by_name = {region.name: region for region in regions}
         for objective, tried in worst_questions(scored.searches, MOST_TRIED):
@@ -239,12 +253,12 @@ class ScoringSession:
 
 
 def _is_trained_here(avoider: Avoider) -> bool:
-    """Return whether the avoider is a network of this package's training, exported or not."""
+    """Return True if this package trained the avoider, even if it was then exported to an ONNX file."""
     return isinstance(avoider, LearnedAvoider) or getattr(avoider, "exported", False)
 
 
 def _description(tried: Tried, seed: int) -> str:
-    """Return the description of a worst question for its scenario file."""
+    """Return the description of a worst question in its scenario file."""
     return (
         f"A search of {tried.region} (seed {seed}) found this worst question; a search estimates no rate. "
         f"It is the first question of this run. The proposal leads {1e3 * tried.gained_m:.1f} mm away from "
@@ -255,10 +269,12 @@ def _description(tried: Tried, seed: int) -> str:
 
 
 def _refuse_itself(reference: str, card: Scorecard, against: str, beside: Scorecard) -> list[str]:
-    """Raise ScenarioError if ``reference`` and ``against`` have the same name, hash and answers.
+    """Raise ScenarioError if ``reference`` and ``against`` are the same avoider.
 
-    The answers decide too, because the same Python file in another folder may load other weights.  If only
-    the answers agree, the function returns a warning.
+    The avoiders are the same if they have the same name, the same hash and the same answers.
+
+    The same name and hash are not sufficient, because the same Python file in another folder may load other
+    weights.  If only the answers are the same, the function returns a warning.
     """
     hashes = {name: avoider_sha256(scenario_of_avoider(name)) for name in (reference, against)}
     keys = {(sha256, file_and_name(name)[1] if sha256 else name) for name, sha256 in hashes.items()}
@@ -275,7 +291,7 @@ def _refuse_itself(reference: str, card: Scorecard, against: str, beside: Scorec
 
 
 def _slug(reference: str) -> str:
-    """Return a reference in a form that can be part of a file's name."""
+    """Convert a reference to a text that can be part of a file's name."""
     file, name = file_and_name(reference)
     text = f"{os.path.basename(file)} {name}" if file else reference
     return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")

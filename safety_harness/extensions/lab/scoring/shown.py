@@ -1,8 +1,10 @@
-"""The further inputs of an avoider that sees more than two positions, for a question outside of a run.
+"""Compute the further inputs of an avoider that has more inputs than the positions of hand and TCP.
 
-The arm stands with its TCP at the question's TCP.  One hand rests at the question's hand; it was just
-measured there, and its prediction is there too.  A second hand rests beyond the TCP, at 1.5 times the
-critical distance.  The seed decides which hand comes first in the inputs.  The module draws no images.
+Scoring asks such an avoider questions outside of a run, so there is no simulation that provides these inputs.
+The module assumes that the arm's TCP is at the TCP position of the question.  A first hand rests at the hand
+position of the question, and its measured and predicted positions are there too.  A second hand rests on the
+other side of the TCP, at 1.5 times the critical distance.  The seed determines the order of the two hands in
+the inputs.  The module cannot compute images.
 """
 
 from __future__ import annotations
@@ -26,7 +28,9 @@ VARIANCES = np.diag([1e-4] * 3 + [1e-2] * 3)  # of a predicted hand: (10 mm)^2, 
 
 
 def why_not_shown(subject: Subject, regions: Sequence[QuestionRegion]) -> str:
-    """Return why the inputs of an avoider cannot be drawn; empty if they can be drawn.
+    """Return the reason why the module cannot compute the inputs of an avoider.
+
+    The text is empty if the module can compute them.
 
     Args:
         subject: The avoider.
@@ -41,7 +45,10 @@ def why_not_shown(subject: Subject, regions: Sequence[QuestionRegion]) -> str:
 
 
 def shown(subject: Subject, region: QuestionRegion) -> Subject:
-    """Return the subject, with inputs drawn for each question by the arm and settings of ``region``."""
+    """Return a copy of the subject whose avoider receives computed inputs.
+
+    The inputs of each question come from the arm and the settings of ``region``.
+    """
     if not shown_to(subject.avoider):
         return subject
     return replace(
@@ -54,19 +61,22 @@ def shown(subject: Subject, region: QuestionRegion) -> Subject:
 
 @dataclass(frozen=True, eq=False)
 class ShownAvoider(AvoiderAround):
-    """A wrapper for an avoider with further inputs: a caller passes the question, and it draws the inputs."""
+    """A wrapper for an avoider with further inputs, which it computes from each question."""
 
     region: QuestionRegion
 
     @property
     def sees(self) -> tuple[str, ...]:
-        """The further inputs that a caller has to pass: an empty tuple."""
+        """The further inputs that a caller must pass, which is an empty tuple."""
         return ()
 
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """Return the avoider's answer for positions (3,); raise AvoiderError if the TCP is out of reach."""
+        """Return the avoider's answer for positions of shape (3,).
+
+        Raise AvoiderError if the arm cannot reach the TCP.
+        """
         settings, robot = self.region.settings, self.region.robot
         pose = desired_transform_tcp_to_base(settings)
         pose[:3, 3] = tcp_position_in_base_m

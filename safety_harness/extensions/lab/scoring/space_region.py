@@ -1,4 +1,4 @@
-"""The region of questions that the draws of a scenario space can lead to, found without a run."""
+"""Find the questions that can occur in the scenarios of a space, without a run."""
 
 from __future__ import annotations
 
@@ -17,13 +17,16 @@ from safety_harness.extensions.lab.scoring.regions import Pairs, QuestionRegion,
 from safety_harness.scenario.model import Scenario
 from safety_harness.space.space import ScenarioSpace
 
-DRAWS = 200
+DRAWS = 200  # scenarios; a choice
 STEP_S = 0.1  # between two recorded positions of a hand
 
 
 @dataclass(frozen=True, eq=False)
 class _Drawn:
-    """The positions (m, 3) of one draw's hands, and the ends of its TCP's path, in the base frame [m]."""
+    """The positions of the hands in one scenario, shape (m, 3), and the ends of the TCP's path.
+
+    All positions are in the base frame [m].
+    """
 
     hands_in_base_m: ArrayNx3
     start_in_base_m: Array3
@@ -31,21 +34,22 @@ class _Drawn:
 
 
 def space_region(space: ScenarioSpace, seed: int, draws: int = DRAWS) -> QuestionRegion:
-    """Return the region of questions that the admitted draws of a space can lead to.
+    """Return the region of the questions that can occur in random, admitted scenarios of a space.
 
-    A hand moves by its program, which the function evaluates every 100 ms.  Meanwhile the TCP moves straight
-    from its start to the desired position.  A pair joins a hand and a TCP of the same draw, at any two times.
-    The TCP of a pair is anywhere on the path, or up to the repulsion radius beside it, as in a run that
-    retreats.  Only pairs within the critical distance belong to the region.  The region ignores errors of
-    perception.  The function executes no code of a user.
+    A hand moves according to its program, which the function evaluates every 100 ms.  At the same time, the
+    TCP moves on a straight path from its start to the desired position.  A pair consists of a hand position
+    and a TCP position in the same scenario, which may belong to different times.  The TCP position of a pair
+    lies at most the repulsion radius from the path, because the arm may retreat in a run.  The region
+    contains only pairs within the critical distance.  The function assumes perception without errors, and it
+    does not execute a user's code.
 
     Args:
         space: The space.
-        seed: The seed of the draws.
-        draws: The number of admitted draws.
+        seed: The seed for the random scenarios.
+        draws: The number of admitted scenarios.
 
     Raises:
-        InadmissibleError: Admission refuses almost every draw.
+        InadmissibleError: Admission refuses almost every scenario.
 
     """
     places = [_places(scenario) for scenario in draw_admissible(space, seed, draws).scenarios]
@@ -58,9 +62,12 @@ def space_region(space: ScenarioSpace, seed: int, draws: int = DRAWS) -> Questio
     firsts = np.cumsum(counts) - counts
 
     def pairs(rng: np.random.Generator, count: int) -> Pairs:
+        # Every scenario with a hand is equally likely, however many positions its hands have.
         rows = rng.choice(np.flatnonzero(counts), count) if counts.any() else np.empty(0, np.int64)
         u = rng.random((len(rows), 3))
         aside = rng.normal(size=(len(rows), 3))
+        # The cube root makes the point uniform in a ball, because the volume grows with the cube of the
+        # radius.
         aside *= radius_m * np.cbrt(u[:, :1]) / np.linalg.norm(aside, axis=1, keepdims=True)
         tcps = starts[rows] + u[:, 1:2] * paths[rows] + aside
         return hands[firsts[rows] + (u[:, 2] * counts[rows]).astype(np.int64)], tcps
@@ -77,7 +84,7 @@ def space_region(space: ScenarioSpace, seed: int, draws: int = DRAWS) -> Questio
 
 
 def _places(scenario: Scenario) -> _Drawn:
-    """Return the positions of the hands and the path of the TCP in one draw."""
+    """Return the positions of the hands and the path of the TCP in one scenario."""
     arm = arm_model(scenario.robot)
     start = links_in_base(arm, start_joint_position(scenario, arm))[-1, :3, 3]
     desired = np.array(scenario.settings.cell.desired_tcp_position_in_base_m)

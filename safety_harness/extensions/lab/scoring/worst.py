@@ -1,9 +1,10 @@
-"""The search for an avoider's worst questions, with the searchers of ``search`` and a ledger of its own.
+"""Search for questions with bad answers of an avoider, by the algorithms of the package ``search``.
 
-A search chooses its questions, so its results enter no estimate.  A point of the search's cube defines the
-TCP, the hand relative to the TCP, and one of a few seeds.  Some draws of the region bound both positions.
-The search refuses pairs that lie outside the region or with which no run can begin.  A question's seed is the
-seed of the first decision in a run whose scenario seed is known.  So a scenario file can ask it again.
+A search selects its questions according to earlier answers, so its results are not part of any estimate.
+They have a separate ledger.  A point in the cube of the search defines the TCP, the hand relative to the TCP,
+and one of a few seeds.  Random questions in the region determine the bounds of both positions.  The search
+skips a pair if it lies outside the region or if no run can begin with it.  The seed of a question is the seed
+of the first decision in a run with a known scenario seed.  A scenario file can therefore repeat the question.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from safety_harness.search.findings import Findings, Goal, Outcomes
 from safety_harness.search.search import find_violations
 from safety_harness.search.searchers import searcher_named
 
-SEARCHER, BATCH = "diverse", 64
+SEARCHER, BATCH = "diverse", 64  # points in a batch; a choice
 # Seeds per region.  The seed is a coordinate, because a random avoider would otherwise look like noise.
 SEEDS = 8
 DRAWS = 500  # draws of the region, which bound the positions in the search
@@ -41,14 +42,17 @@ _FAR_M = 10.0
 
 
 class Objective(Enum):
-    """The objectives of the search; the value is the text that describes the worst questions."""
+    """The objectives of the search; the value is a text that describes the worst answers for an objective."""
 
     TOWARDS = "leads least away from the hand"
     SURE_AND_OFF = "sure, and farthest from the optimum"
 
     @property
     def limit_m(self) -> float:
-        """The badness [m] above which a question is reported; the claims in the files use the same limit."""
+        """The limit [m] of the badness above which a question is reported.
+
+        The claims in the scenario files have the same limit.
+        """
         return TOLERANCE_M if self is Objective.TOWARDS else WRONG_M
 
 
@@ -57,9 +61,12 @@ OBJECTIVES = tuple(Objective)
 
 @dataclass(frozen=True, eq=False)
 class Tried:
-    """A question of the search with its answer, which ``gained_m`` and ``off_m`` describe.
+    """A question of the search and its answer.
 
-    ``optimum_gained_m`` is the gain of the closed-form optimum, for comparison.
+    ``gained_m`` is the component of the step in the direction away from the hand. ``off_m`` is the distance
+    of the answer from the optimum.
+
+    ``optimum_gained_m`` is the same component for the step to the closed-form optimum.
     """
 
     region: str
@@ -74,20 +81,26 @@ class Tried:
     sure: bool
 
     def badness_m(self, objective: Objective) -> float:
-        """Return how bad the answer is for ``objective`` [m]; -inf if the objective does not apply."""
+        """Return the badness of the answer for ``objective`` [m], or -inf if the objective does not apply."""
         if objective is Objective.TOWARDS:
             return -self.gained_m
         return self.off_m if self.sure else -np.inf
 
     def apart_m(self, second: Tried) -> float:
-        """Return the distance from question ``second``: the larger of the hands' and the TCPs' distance."""
+        """Return the distance to the question ``second``.
+
+        It is the distance between the hands or the distance between the TCPs, whichever is larger.
+        """
         hands = np.linalg.norm(self.hand_in_base_m - second.hand_in_base_m)
         return float(max(hands, np.linalg.norm(self.tcp_in_base_m - second.tcp_in_base_m)))
 
 
 @dataclass(eq=False)
 class QuestionSearch:
-    """The ledger of one region's search: ``tried`` lists the answered questions, and ``asked`` counts all."""
+    """The ledger of the search in one region.
+
+    ``tried`` lists the answered questions, and ``asked`` is the number of all questions.
+    """
 
     region: str
     budget: int
@@ -99,7 +112,7 @@ class QuestionSearch:
 
 @dataclass(eq=False)
 class _Searching:
-    """The function that a search evaluates: it asks the questions at points and fills ``ledger``."""
+    """The function that a search evaluates: it asks the avoider and adds the answers to ``ledger``."""
 
     avoider: Avoider
     region: QuestionRegion
@@ -110,6 +123,8 @@ class _Searching:
     def __post_init__(self) -> None:
         self.which = Column(tuple(np.linspace(0.0, 1.0, SEEDS + 1).tolist()), flat=True)
         self.cube = Cube((*(Column() for _ in range(6)), self.which))
+        # The last three coordinates are the hand's offset from the TCP, because a region limits their
+        # distance.
         tcps = self.drawn.tcps_in_base_m
         self._low, self._high = (
             np.concatenate([end(tcps, axis=0), end(self.drawn.hands_in_base_m - tcps, axis=0)])
@@ -117,7 +132,11 @@ class _Searching:
         )
 
     def __call__(self, points: Points, first: int) -> Outcomes:
-        """Return the outcomes at ``points`` (n, 7); ask only the questions that belong to the region."""
+        """Ask the questions at ``points``, shape (n, 7), and return the outcomes.
+
+        The function refuses a point whose question does not belong to the region or cannot be the first in a
+        run.
+        """
         at = self._low + points[:, :6] * (self._high - self._low)
         tcps, hands = at[:, :3], at[:, :3] + at[:, 3:]
         held = self.region.holds(hands, tcps)
@@ -135,7 +154,11 @@ class _Searching:
         return Outcomes(margins, known.conclusive, refused, known.mishaps, known.kinds, known.cells)
 
     def _margins_of(self, questions: Questions, numbers: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the margins (n, 2) of questions, NaN if unanswered; ``numbers`` (n,) select their seeds."""
+        """Ask n questions, and return their margins for both objectives, shape (n, 2).
+
+        The margins of an unanswered question are NaN.  ``numbers`` contains the index of each question's
+        scenario seed, shape (n,).
+        """
         hands, tcps = questions.hands_in_base_m, questions.tcps_in_base_m
         answers = asked_together(self.avoider, questions)
         proposed, optimum = answers.positions_in_base_m, optimum_in_base_m(self.region.settings, hands, tcps)
@@ -160,6 +183,7 @@ class _Searching:
             for k in np.flatnonzero(given).tolist()
         ]
         margins = np.stack([away_m, np.where(sure, -error_m, np.nan)], axis=1)
+        # Even an answer that is farther off than _FAR_M keeps a margin above zero.
         return np.where(given[:, None], np.maximum(_FAR_M + margins, 1e-3), np.nan)
 
 
@@ -172,15 +196,17 @@ def search_region(
     number: int,
     on_progress: Callable[[Findings], None] | None = None,
 ) -> QuestionSearch:
-    """Return the ledger of a search for one region's worst questions; Ctrl-C ends the search early.
+    """Search for the worst questions in one region, and return the ledger.
+
+    Ctrl-C ends the search early.
 
     Args:
         avoider: The avoider.
         region: The region.
         budget: The number of questions.
         seed: The root of all random numbers.
-        number: The region's number, so that each region has its own random numbers.
-        on_progress: Receives the findings after each batch.
+        number: The region's number, which gives each region its own random numbers.
+        on_progress: A function that receives the findings after each batch.
 
     """
     ledger = QuestionSearch(region.name, budget)
@@ -204,11 +230,13 @@ def search_region(
 
 
 def worst_questions(searches: Sequence[QuestionSearch], most: int) -> list[tuple[Objective, Tried]]:
-    """Return the worst questions of all regions, no two near each other; the objectives take turns.
+    """Return the worst questions of all regions; the two objectives alternate.
+
+    The function skips a question that is close to a question in the result.
 
     Args:
         searches: The ledgers of the searches.
-        most: The largest number of questions.
+        most: The largest number of questions to return.
 
     """
     queues = [_by_badness(searches, objective) for objective in OBJECTIVES]
@@ -226,7 +254,7 @@ def worst_questions(searches: Sequence[QuestionSearch], most: int) -> list[tuple
 def _by_badness(
     searches: Sequence[QuestionSearch], objective: Objective
 ) -> Iterator[tuple[Objective, Tried]]:
-    """Yield the questions beyond the limit of ``objective``, the worst first."""
+    """Yield the questions that exceed the limit of ``objective``, beginning with the worst."""
     tried = (question for ledger in searches for question in ledger.tried)
     every = [question for question in tried if question.badness_m(objective) > objective.limit_m]
     for question in sorted(every, key=lambda question: -question.badness_m(objective)):
