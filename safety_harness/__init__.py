@@ -1,4 +1,4 @@
-"""Verify a learned hand-avoidance controller of a visually servoed robot, in simulation.
+"""Verify, in simulation, a learned controller that moves a visually servoed robot away from hands.
 
     from pathlib import Path
     from safety_harness import admit, judge, read_scenario, run_trial
@@ -7,8 +7,8 @@
     for evaluation in judge(trace):
         print(evaluation.sentence, evaluation.verdict.value, evaluation.margin_text())
 
-The names below are public, which a test enforces.  Each name is imported at its first use, so that
-``safety-harness --help`` does not wait for a physics engine.
+The names listed below are the public interface, and a test checks the list.  Each name is imported at its
+first use, so that ``safety-harness --help`` does not wait for a physics engine.
 """
 
 from __future__ import annotations
@@ -179,7 +179,10 @@ def __getattr__(name: str) -> object:
 
 
 def _absent(name: str, home: str) -> InputError:
-    """Return the error for ``name`` if the wing that contains it, ``home``, is not installed."""
+    """Return the error for ``name`` if its wing ``home`` is not installed.
+
+    A wing is an optional package.
+    """
     errors, distribution = (import_module(f"{__name__}.base.{mod}") for mod in ("exceptions", "distribution"))
     missing: InputError = errors.MissingPackageError(
         place=errors.Place(field=f"{__name__}.{name}"),

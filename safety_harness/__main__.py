@@ -1,6 +1,6 @@
 """The command ``safety-harness``, also started by ``python -m safety_harness``.
 
-All slow imports come after the ``try``, so that Ctrl-C during an import causes no traceback either.
+All slow imports come after the ``try``, so that even Ctrl-C during an import causes no traceback.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import sys
 
 
 def main() -> None:
-    """Run the command line, and end without a traceback after Ctrl-C or an error of ours."""
+    """Run the command line, and end without a traceback after Ctrl-C or an error of the harness."""
     gc.set_threshold(20_000)  # imported objects stay, so searching them for garbage would only take time
     try:
         _open_streams()
@@ -29,7 +29,7 @@ def main() -> None:
 def _open_streams() -> None:
     """Replace closed standard streams by the null device, and escape characters that a stream cannot encode.
 
-    Otherwise the next opened file would take the place of a closed stream, and receive the output.
+    If a standard stream stayed closed, the next opened file would get its number and receive its output.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:

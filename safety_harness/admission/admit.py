@@ -1,4 +1,4 @@
-"""Admission before any run: resolve a scenario's references, and refuse a scenario that cannot run."""
+"""Resolve a scenario's references, and refuse a scenario that cannot run, before any run begins."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ FIRST_ANSWER_S = 300.0  # for an avoider's imports, loading and compilation
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Checked:
-    """A scenario that passed every check that needs no avoider."""
+    """A scenario that has passed all checks that need no avoider."""
 
     scenario: Scenario
     arm: ArmModel
@@ -98,13 +98,14 @@ class Admitted(Checked):
 
     Args:
         scenario: The scenario.
-        arm: The model of its arm.
-        view: The view of the object at the desired pose; None if the controller does not see the object.
+        arm: The kinematic model of the robot arm.
+        view: The view of the object at the desired pose, or None if the controller does not see the object.
         joint_position_rad: (n,) The joint angles at the start.
-        properties: The property of each claim, in order.
-        avoider: The avoider.  It is a stand-in if a controller other than the visual servo drives the arm.
-        avoider_sha256: The hash of the avoider's file; empty without a file.
-        driver: The user's controller.  None: the visual servo drives the arm.
+        properties: The property of each claim, in the order of the scenario's claims.
+        avoider: The avoider.  If a controller other than the visual servo drives the arm, this is a stand-in
+            without answers.
+        avoider_sha256: The hash of the avoider's file, or an empty text if the avoider has no file.
+        driver: The user's controller.  None means that the visual servo drives the arm.
         safety_filter: The user's filter of commands, if any.
         predictor: The scenario's predictor of hands, if any.
 
@@ -119,14 +120,14 @@ class Admitted(Checked):
     def controller(
         self, recorded: Trace | None = None
     ) -> AvoidingServo | DrivenController | FilteredController:
-        """Return a fresh controller for one run.
+        """Return a new controller for one run.
 
         Args:
-            recorded: An earlier run of the scenario, whose decision times the new run repeats.  None: the run
-                measures or draws new times.
+            recorded: An earlier run of the scenario, whose decision times the new run repeats.  None means
+                that the run measures or draws new times.
 
         Raises:
-            ControllerError: The ``reset`` of a user's controller raises.
+            ControllerError: The ``reset`` method of the user's controller raises an exception.
 
         """
         own = self.servo(recorded) if self.driver is None else self.driven_by(self.driver.controller)
@@ -135,14 +136,14 @@ class Admitted(Checked):
     def filtered(
         self, pilot: AvoidingServo | ControllerWrapper | DrivenController, safety_filter: UserController
     ) -> FilteredController:
-        """Return ``pilot``, whose commands pass through ``safety_filter``, prepared for one run.
+        """Return a controller for one run that passes every command of ``pilot`` through ``safety_filter``.
 
         Args:
             pilot: The controller.
-            safety_filter: The user's filter.
+            safety_filter: The user's filter of commands.
 
         Raises:
-            ControllerError: The ``reset`` of the filter raises.
+            ControllerError: The ``reset`` method of the filter raises an exception.
 
         """
         scenario = self.scenario
@@ -158,7 +159,7 @@ class Admitted(Checked):
         return FilteredController(pilot, calls, scenario.ticks + 1)
 
     def driven_by(self, controller: UserController) -> DrivenController:
-        """Return ``controller``, a user's controller, prepared for one run.
+        """Return the user's ``controller``, prepared for one run.
 
         Args:
             controller: The user's controller.
@@ -179,20 +180,20 @@ class Admitted(Checked):
 
     @property
     def answers_later(self) -> bool:
-        """Whether the answers of the scenario's controller cost simulated time."""
+        """Whether the scenario's controller needs simulated time for its answers."""
         costs = isinstance(self.cost, DecisionTimes) and self.cost.most_s > 0.0
         return self.scenario.driven and costs
 
     @property
     def cost(self) -> DecisionCost | DecisionTimes:
-        """The cost of an answer in simulated time, by the settings."""
+        """The simulated time that an answer takes, according to the settings."""
         return self.scenario.settings.avoidance.decision_time
 
     def servo(self, recorded: Trace | None = None) -> AvoidingServo:
         """Return a fresh visual servo for one run of a scenario that it drives.
 
         Args:
-            recorded: As in ``controller``.
+            recorded: An earlier run of the scenario, with the same meaning as in ``controller``.
 
         """
         scenario, settings = self.scenario, self.scenario.settings
@@ -221,7 +222,7 @@ class Admitted(Checked):
         )
 
     def _predicting(self, predictor: UserController) -> PredictorCalls:
-        """Return the calls of ``predictor``, prepared for one run."""
+        """Return the object that queries ``predictor`` in one run."""
         scenario = self.scenario
         return PredictorCalls(
             predictor,
@@ -235,7 +236,10 @@ class Admitted(Checked):
         )
 
     def guard(self) -> Guard:
-        """Return the scenario's shield for one run; without a shield, the guard is empty."""
+        """Return the guard that enforces the scenario's shield in one run.
+
+        If the scenario has no shield, the guard has no effect.
+        """
         scenario = self.scenario
         capsules = cell_capsules(arm_capsules(scenario.robot), scenario.settings)
         ticks = scenario.ticks + 1
@@ -243,20 +247,24 @@ class Admitted(Checked):
 
 
 class Admitter:
-    """Admission of several scenarios, where no result depends on an earlier scenario.
+    """An object that admits several scenarios, so that no result depends on an earlier scenario.
 
-    The object makes the avoider of a Python file only once.  So an avoider that keeps data in memory keeps
-    the data from run to run.
+    The object creates the avoider of each Python file only once.  If such an avoider stores data in memory,
+    the data remain from one run to the next.
     """
 
     def __init__(self) -> None:
         self._avoiders = Avoiders()
         self._drivers = Drivers()
+        # Many scenarios share an avoider, whose first answer may take minutes.
         self._answers = lru_cache(maxsize=16)(answers_at_first)
         self._seen_by = lru_cache(maxsize=16)(seen_by)
 
     def admit(self, scenario: Scenario) -> Admitted:
-        """Resolve a scenario's references and check that it can run; InadmissibleError if it cannot."""
+        """Resolve a scenario's references and check that it can run.
+
+        Raise InadmissibleError if it cannot run.
+        """
         checked = check(scenario)
         admitted = self._admitted(checked)
         if scenario.predictor:
@@ -266,16 +274,19 @@ class Admitter:
         return admitted
 
     def admit_afresh(self, scenario: Scenario) -> Admitted:
-        """Do as ``admit``, but start the user's programs anew, without memory of earlier runs.
+        """Do the same as ``admit``, but restart the user's programs, so that they remember no earlier run.
 
-        A policy in an ONNX file is no such program: each run begins with the same memory.
+        A policy in an ONNX file is not restarted, because its memory is reset before each run anyway.
         """
         self._avoiders.forget_programs()
         self._drivers.forget_programs()
         return self.admit(scenario)
 
     def _admitted(self, checked: Checked) -> Admitted:
-        """Return the checked scenario with its avoider or controller, but without the parts beside it."""
+        """Return the checked scenario with its avoider or controller.
+
+        The safety filter and the predictor are not yet added.
+        """
         scenario = checked.scenario
         if scenario.driven:
             return _driven(checked, self._drivers.driver_for(scenario))
@@ -285,7 +296,7 @@ class Admitter:
         return _admitted(checked, avoider, sha256, self._answers(cast(Hashable, avoider), hand, tcp))
 
     def seen_of(self, scenario: Scenario) -> SeenRegions:
-        """Return the training space of the scenario's avoider, as computed by ``seen_by``."""
+        """Return the input space on which the scenario's avoider was trained, as computed by ``seen_by``."""
         settings = scenario.settings.steady
         return self._seen_by(scenario.under_test, folder=folder_of(scenario), settings=settings)
 
@@ -297,15 +308,17 @@ def admit(
 
     Args:
         scenario: The scenario.
-        avoider: An avoider that replaces the scenario's own.  None: keep the scenario's own.
-        controller: A controller that replaces the scenario's own.  None: keep the scenario's own.  Do not
-            give both an avoider and a controller, because only the visual servo asks an avoider.
+        avoider: An avoider that replaces the scenario's own.  The default None leaves the scenario's avoider
+            in place.
+        controller: A controller that replaces the scenario's own.  The default None leaves the scenario's
+            controller in place.  Do not give both an avoider and a controller, because only the visual servo
+            asks an avoider.
 
     Returns:
-        The scenario with its arm, its avoider or controller, and the properties of its claims.
+        The scenario together with its arm, its avoider or controller, and the property of each claim.
 
     Raises:
-        InadmissibleError: The scenario cannot run; the error names the place in the file.
+        InadmissibleError: The scenario cannot run.  The error states the place in the scenario file.
         InputError: A file that the scenario refers to cannot be used.
 
     """
@@ -327,13 +340,13 @@ def admit(
 
 
 class Checker:
-    """The checks of an ``Admitter`` that execute no user code."""
+    """An admitter that makes only the checks that execute no user code."""
 
     def __init__(self) -> None:
         self._seen: set[tuple[tuple[str, ...], Path | None, Settings]] = set()
 
     def check(self, scenario: Scenario) -> Checked:
-        """Check a scenario, but neither make its avoider nor ask it a question."""
+        """Check a scenario without creating or querying its avoider."""
         checked = check(scenario)
         self.check_tested(scenario)
         return checked
@@ -350,7 +363,7 @@ class Checker:
 
 
 def refuse_no_answer(scenario: Scenario) -> None:
-    """Make the scenario's controller, or make its avoider and ask it one question.
+    """Create the scenario's controller, or create its avoider and query the avoider once.
 
     The function raises the same errors as ``admit``.
     """
@@ -368,18 +381,20 @@ def refuse_no_answer(scenario: Scenario) -> None:
 
 
 def check(scenario: Scenario) -> Checked:
-    """Check a scenario without its avoider, and raise the same errors as ``admit``.
+    """Run all checks of a scenario that need no avoider.
 
-    The check neither reads nor executes a file of the avoider.  For a controller other than the visual servo,
-    it also skips the controller and the view of the object.
+    The function raises the same errors as ``admit``. The function does not read or execute the avoider's
+    file. If a controller other than the visual servo drives the arm, the function also skips the checks of
+    that controller and of the view of the object.
     """
     return _check(scenario, sees_object=not scenario.driven)
 
 
 def _check(scenario: Scenario, *, sees_object: bool) -> Checked:
-    """Check a scenario, including the view of the object if the controller ``sees_object``."""
+    """Check a scenario.  If ``sees_object`` is true, also check the view of the object."""
     arm = _arm_of(scenario)
     with _placed(scenario):
+        # The posture comes first, because the inverse kinematics of later checks prefers angles near it.
         check_posture(scenario, arm)
         refuse_gate(scenario)
         check_stuck_joints(scenario, arm)
@@ -401,6 +416,7 @@ def _check(scenario: Scenario, *, sees_object: bool) -> Checked:
 
 def _driven(checked: Checked, driver: MadeDriver) -> Admitted:
     """Return the admitted scenario with the user's controller ``driver``."""
+    # ``check`` did not know yet whether the controller needs the object in view.
     if driver.sees_object:
         checked = _check(checked.scenario, sees_object=True)
     refuse_no_images(checked.scenario, driver)
@@ -411,7 +427,7 @@ def _driven(checked: Checked, driver: MadeDriver) -> Admitted:
 
 
 def _with_filter(admitted: Admitted, safety_filter: MadeDriver) -> Admitted:
-    """Return the admitted scenario with its safety filter."""
+    """Return the admitted scenario, extended by the filter ``safety_filter``."""
     refuse_no_images(admitted.scenario, safety_filter)
     if safety_filter.sees_object and admitted.view is None:
         admitted = replace(admitted, view=_check(admitted.scenario, sees_object=True).view)
@@ -419,7 +435,10 @@ def _with_filter(admitted: Admitted, safety_filter: MadeDriver) -> Admitted:
 
 
 def _arm_of(scenario: Scenario) -> ArmModel:
-    """Return the model of the scenario's arm; InadmissibleError if the arm's files cannot be used."""
+    """Return the model of the scenario's arm.
+
+    Raise InadmissibleError if the arm's files cannot be used.
+    """
     try:
         refuse_unfit(scenario.robot)
         drive_model(scenario.robot)
@@ -429,7 +448,10 @@ def _arm_of(scenario: Scenario) -> ArmModel:
 
 
 def _admitted(checked: Checked, avoider: Avoider, sha256: str, answers: bool) -> Admitted:
-    """Return the admitted scenario with ``avoider``; InadmissibleError unless the avoider ``answers``."""
+    """Return the admitted scenario with ``avoider`` as its avoider.
+
+    Raise InadmissibleError if ``answers`` is false, that is, if the avoider did not answer its first query.
+    """
     if not answers:
         raise _no_answer(checked.scenario)
     check_decision_time(checked.scenario, avoider, sha256)
@@ -437,17 +459,18 @@ def _admitted(checked: Checked, avoider: Avoider, sha256: str, answers: bool) ->
 
 
 def _no_answer(scenario: Scenario) -> InadmissibleError:
-    """Return the error for an avoider that did not answer its first question."""
+    """Return the error for an avoider that did not answer its first query."""
     expected = f"an avoider that answers its first question within {FIRST_ANSWER_S:g} s"
     return scenario.inadmissible(expected, "none until then", "avoider")
 
 
 @dataclass(frozen=True)
 class _Cell:
-    """The settings and the robot of a scenario, which its hands and its start cannot change.
+    """The settings and the robot of a scenario; both are independent of the scenario's hands and start.
 
-    ``scenario`` is kept only for the places in error messages.  ``settings`` are ``steady``, because the
-    noise and delay of a camera do not affect the checks of a cell.
+    ``scenario`` is used only to state places in error messages. ``settings`` are the result of
+    ``Settings.steady``: the cameras have no noise and no delay, because these do not affect the checks of a
+    cell.
     """
 
     settings: Settings
@@ -465,7 +488,7 @@ def _view_of_cell(cell: _Cell) -> DesiredView:
 
 @contextmanager
 def _placed(scenario: Scenario) -> Iterator[None]:
-    """Turn a SettingsError into an InadmissibleError at the place of the setting in the file."""
+    """Convert a SettingsError into an InadmissibleError that states where the file contains the setting."""
     try:
         yield
     except SettingsError as error:
@@ -477,19 +500,20 @@ def _placed(scenario: Scenario) -> Iterator[None]:
 
 
 def first_question(settings: Settings) -> tuple[Vector3, Vector3]:
-    """Return the question asked before a run: the nominal hand and the desired TCP position."""
+    """Return the input of a first query: the nominal hand position and the desired TCP position."""
     return settings.avoidance.nominal_hand_position_in_base_m, settings.cell.desired_tcp_position_in_base_m
 
 
 def answers_at_first(avoider: Avoider, hand_in_base_m: Vector3, tcp_in_base_m: Vector3) -> bool:
-    """Return whether the avoider answers one question before the run.
+    """Return whether the avoider answers a first query.
 
-    So the avoider's imports and compilation end before a run begins.  The function ignores the answer,
-    because a wrong answer will also show in the run.  An avoider that sees more than positions gets no
-    question, because no view exists yet.
+    The query precedes the run, so that the avoider imports and compiles everything before the run begins.
+    The function ignores the answer's content, because a wrong answer will also show in the run.  If an
+    avoider sees more than positions, the function skips the query and returns True, because no view exists
+    yet.
 
     Returns:
-        False if the avoider gives no answer within FIRST_ANSWER_S.
+        False if the avoider does not answer within FIRST_ANSWER_S.
 
     """
     if shown_to(avoider):

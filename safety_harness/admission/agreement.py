@@ -1,7 +1,8 @@
 """The measured agreement between the kinematic world and PyBullet, from ``benchmarks/agreement.py --write``.
 
-A measurement is valid for the source code that produced it.  ``present_source`` covers every file that a run
-and its judgement import.  So a change of a page or of a search does not invalidate the measurement.
+A measurement is valid for the source code that produced it.  ``present_source`` computes the hash of every
+file that a run and its judgement import.  Therefore a changed page or a changed search does not invalidate
+the measurement.
 """
 
 from __future__ import annotations
@@ -19,7 +20,10 @@ FORMAT = "safety-harness agreement 1"
 
 @dataclass(frozen=True)
 class LargestDifference:
-    """The largest difference in one quantity between the two worlds, and the scenario that showed it."""
+    """The largest difference between the two worlds in one quantity.
+
+    ``scenario`` is the scenario in which the difference occurred.
+    """
 
     what: str  # with its unit
     largest: float
@@ -30,9 +34,9 @@ class LargestDifference:
 class Agreement:
     """The agreement of the two worlds in the verdicts of the same scenarios.
 
-    ``compared`` counts the verdicts whose margin is more than ``near_m`` from zero, or is not a length.
-    ``compared_near`` counts all other verdicts.  ``optimistic`` lists the disagreements in which only
-    PyBullet sees a violation.
+    ``compared_near`` is the number of verdicts whose margin is a length within ``near_m`` of zero.
+    ``compared`` is the number of all other verdicts. ``optimistic`` lists the disagreements in which PyBullet
+    shows a violation and the kinematic world does not.
     """
 
     source: str
@@ -51,12 +55,12 @@ class Agreement:
 
     @property
     def scenarios(self) -> int:
-        """The number of scenarios that ran in both worlds."""
+        """The number of scenarios that were run in both worlds."""
         return self.shipped + self.random
 
     @property
     def share(self) -> float:
-        """The share of agreements among the ``compared`` verdicts; NaN if no verdict was compared."""
+        """The fraction of ``compared`` verdicts on which both worlds agree, or NaN if ``compared`` is 0."""
         return self.agreed / self.compared if self.compared else float("nan")
 
     @property
@@ -72,7 +76,10 @@ def present_source() -> str:
 
 
 def from_json(text: str) -> Agreement:
-    """Return the agreement stored in a JSON text; InputError if the text stores no agreement."""
+    """Return the agreement stored in a JSON text.
+
+    Raise InputError if the text stores no agreement.
+    """
     document = of_format(parsed(text, AGREEMENT_FILE, "an agreement of two worlds"), FORMAT, AGREEMENT_FILE)
     del document["format"]
     return typed(document, Agreement, AGREEMENT_FILE)

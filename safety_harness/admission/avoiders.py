@@ -1,8 +1,8 @@
-"""References to avoiders: a name of ours, the user's own Python file, or a model file.
+"""References to avoiders: the name of a shipped avoider, a user's Python file, or a model file.
 
 A Python file is the user's own program.  It is executed, with all its imports, only when a scenario that
-refers to it runs, and in a separate process.  A function in ONNX also gets a separate process: it is no
-program, but it may never end.  Any other model file is only read.  ``refuse_unusable`` executes no user code.
+refers to it runs, and in a separate process.  An ONNX file also gets a separate process, because its
+evaluation may never end.  Any other model file is only read.  ``refuse_unusable`` executes no user code.
 """
 
 from __future__ import annotations
@@ -62,7 +62,10 @@ FORMS = f"one of: {', '.join(NAMES)}; FILE.py:NAME; FILE{MODEL_SUFFIX}; FILE{ONN
 
 @dataclass(frozen=True)
 class _Wanted:
-    """The data that determine an avoider that is no program; ``scenario`` serves error messages only."""
+    """The data that determine an avoider, unless the avoider is a program.
+
+    ``scenario`` is used only to state places in error messages.
+    """
 
     source: tuple[Path, str] | str
     settings: Settings
@@ -70,11 +73,11 @@ class _Wanted:
 
 
 class Avoiders:
-    """The avoiders of scenarios, each made as seldom as possible without changing a result.
+    """The avoiders of scenarios; scenarios share one avoider object wherever this changes no result.
 
-    An avoider in a Python file depends only on the file and on its name there, so one object serves all runs.
-    If that object keeps data in memory, the data remain from run to run.  Every other avoider is a function
-    of its question, and is made from the settings.
+    An avoider in a Python file depends only on the file and on the name of the object in that file, so all
+    runs share one object. If that object stores data in memory, the data remain from one run to the next.
+    Every other avoider is a pure function of its input, and depends on the settings.
     """
 
     def __init__(self) -> None:
@@ -82,7 +85,10 @@ class Avoiders:
         self._functions = lru_cache(maxsize=16)(lambda wanted: _made(wanted.scenario))
 
     def avoider_for(self, scenario: Scenario) -> tuple[Avoider, str]:
-        """Return the scenario's avoider and its file's hash; raise the errors of ``resolve_avoider``."""
+        """Return the scenario's avoider and the hash of the avoider's file.
+
+        The method raises the same errors as ``resolve_avoider``.
+        """
         path, name = avoider_file_of(scenario), file_and_name(scenario.avoider)[1]
         if path is None or not is_a_program(scenario.avoider):
             source = scenario.avoider if path is None else (path, name)
@@ -102,12 +108,13 @@ def _made(scenario: Scenario) -> tuple[Avoider, str]:
 
 
 def resolve_avoider(scenario: Scenario, place: Place | None = None) -> Avoider:
-    """Return the scenario's avoider, ready for questions.
+    """Return the scenario's avoider as an object that can be queried.
 
     Args:
         scenario: The scenario.  Relative paths start from the folder of its file, or from the working
             directory if it has no file.
-        place: The place that errors state.  None: the place where the scenario refers to its avoider.
+        place: The place to state in error messages. None means the place where the scenario refers to its
+            avoider.
 
     Raises:
         InadmissibleError: The avoider does not exist, or its reference leads to an object that is no avoider.
@@ -131,10 +138,10 @@ def resolve_avoider(scenario: Scenario, place: Place | None = None) -> Avoider:
 
 
 def refuse_unusable(scenario: Scenario, place: Place | None = None) -> None:
-    """Raise those errors of ``resolve_avoider`` that can be found without executing user code.
+    """Raise those errors of ``resolve_avoider`` that can be detected without executing user code.
 
-    The function parses a Python file, and reads only the metadata of an ONNX file.  It resolves any other
-    avoider.
+    The function parses a Python file, and reads only the metadata of an ONNX file. For any other avoider, the
+    function calls ``resolve_avoider``.
     """
     place = place or scenario.place("avoider")
     path, name = _existing_file(scenario, place), file_and_name(scenario.avoider)[1]
@@ -147,7 +154,7 @@ def refuse_unusable(scenario: Scenario, place: Place | None = None) -> None:
 
 
 def _existing_file(scenario: Scenario, place: Place) -> Path | None:
-    """Return the existing file of the scenario's avoider; None for our avoiders that have no file."""
+    """Return the existing file of the scenario's avoider, or None for a shipped avoider without a file."""
     reference = scenario.avoider
     if reference in (OPPOSITE, NEAREST):
         return None
@@ -174,24 +181,33 @@ def _no_avoider(scenario: Scenario, place: Place) -> InadmissibleError:
 
 
 def avoider_sha256(scenario: Scenario) -> str:
-    """Return the hash of the file of the scenario's avoider; empty if there is no file or no avoider."""
+    """Return the hash of the avoider's file.
+
+    The hash is empty if the scenario has no avoider, or if its avoider has no file.
+    """
     path = None if scenario.driven else avoider_file_of(scenario)
     return "" if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def command_line_reference(scenario: Scenario) -> str:
-    """Return the reference to the system under test, as a command line in the working directory needs it."""
+    """Return the reference to the system under test, with its path relative to the working directory."""
     return _from_here(scenario, scenario.under_test)
 
 
 def _from_here(scenario: Scenario, reference: str) -> str:
-    """Return a reference of the scenario's folder as a reference of the working directory."""
+    """Convert a path relative to the scenario's folder into a path relative to the working directory.
+
+    The path is part of ``reference``.
+    """
     folder = folder_of(scenario) or Path()
     return with_file(reference, lambda file: file if is_shipped(file) else os.path.relpath(folder / file))
 
 
 def told_avoider(reference: str) -> str:
-    """Return ``reference``, to the system under test, with its file named as results show it."""
+    """Return the reference to the system under test.
+
+    The path of its file is written in the form that results use.
+    """
     return str(with_file(reference, lambda file: str(display_path(Path(os.path.expanduser(file))))))
 
 
@@ -201,9 +217,9 @@ def option_of(reference: str) -> str:
 
 
 def one_of(avoider: str | None, controller: str | None) -> str | None:
-    """Return whichever of ``avoider`` and ``controller`` was given; None if neither was given.
+    """Return ``avoider`` or ``controller``, whichever the user gave, or None if the user gave no value.
 
-    InadmissibleError if both were given.
+    Raise InadmissibleError if the user gave both.
     """
     if avoider is not None and controller is not None:
         expected = "one of --avoider and --controller: only the visual servo asks an avoider"
@@ -221,17 +237,18 @@ def replay_command(
 ) -> str:
     """Return the command that repeats runs of one avoider or controller.
 
-    If the system is a user's program, the command names the program explicitly.  Otherwise a trace from
-    elsewhere could decide which program is executed.
+    If the system is a user's program, the command names the program explicitly.  Otherwise a trace from an
+    untrusted source could decide which program is executed.
 
     Args:
         scenario: The scenario of the runs.
         trace: The trace.
         *more_traces: Further traces.
         verb: The command that repeats runs.
-        made_in: The world of the traces; the command names a user's simulator again.
-        shown_path: Returns the name of a file in the command.  If the command is not stored, it may name
-            files by their full paths.
+        made_in: The world of the traces. If the traces come from a user's simulator, the command also states
+            this simulator.
+        shown_path: A function that returns a file's path as the command should show it.  If the command is
+            not stored, it may name files by their full paths.
 
     """
     parts = ["safety-harness", verb, *(str(shown_path(file)) for file in (trace, *more_traces))]
@@ -244,7 +261,7 @@ def replay_command(
 
 
 def _named_here(reference: str) -> str:
-    """Return a reference from the working directory as a command for this machine shows it."""
+    """Return a reference that is relative to the working directory, as a command on this machine shows it."""
     return told_avoider(os.path.abspath(reference) if file_and_name(reference)[0] else reference)
 
 
@@ -257,17 +274,18 @@ def with_program(
 ) -> Scenario:
     """Return the scenario of a trace with the avoider or controller that the user gave.
 
-    To repeat a trace from elsewhere must not execute the program that the trace refers to.
+    Repeating a trace from an untrusted source must not execute the program that the trace refers to.
 
     Args:
         scenario: The scenario of the trace.
-        tested: The user's reference; None: the trace's own.
+        tested: The user's reference.  None means that the trace's own reference is used.
         file: The file of the trace, for the error.
         verb: The command that repeats the run, for the hint.
-        beside: The user's references of the parts in ``BESIDE``; None: the trace's own.
+        beside: The user's references for the parts in ``BESIDE``, such as a safety filter. None means that
+            the trace's own references are used.
 
     Raises:
-        TraceError: A program of the trace is not named by the user.
+        TraceError: A program produced the trace, and the user did not state that program.
 
     """
     unnamed: dict[str, str] = {}  # by option
@@ -309,13 +327,13 @@ def scenario_of_avoider(reference: str) -> Scenario:
 
 
 def shipped_avoider(name: str, settings: Settings = DEFAULTS) -> Avoider:
-    """Return an avoider of ours by its name, ready for questions.
+    """Return a shipped avoider by its name, as an object that can be queried.
 
-    An ``AvoiderAround`` can wrap it, for example.
+    For example, the result can be wrapped in an ``AvoiderAround``.
 
     Args:
         name: The name, such as ``mc-dropout``; ``NAMES`` lists all names.
-        settings: The settings that the avoider works with.
+        settings: The settings for the avoider.
 
     Raises:
         InadmissibleError: The name is unknown.
@@ -330,27 +348,42 @@ def shipped_avoider(name: str, settings: Settings = DEFAULTS) -> Avoider:
 
 
 def is_a_program(reference: str) -> bool:
-    """Return whether ``reference`` names a Python file or a program, which must be executed to resolve it."""
+    """Return whether ``reference`` refers to a Python file or a program.
+
+    Such a reference can only be resolved by executing user code.
+    """
     return file_and_name(reference)[0].endswith(".py") or names_a_program(reference)
 
 
 def is_executed(reference: str) -> bool:
-    """Return whether a run executes the file of ``reference``: a program, or a function in ONNX."""
+    """Return whether a run executes the file to which ``reference`` leads.
+
+    This is the case for a program, a Python file and an ONNX file.
+    """
     return is_a_program(reference) or names_onnx(reference)
 
 
 def executes(scenario: Scenario) -> bool:
-    """Return whether a run of the scenario executes a user's file as its system or a part beside it."""
+    """Return whether a run of the scenario executes a user's file.
+
+    The file may be the scenario's avoider or controller, its safety filter or its predictor.
+    """
     return any(map(is_executed, scenario.parts_under_test))
 
 
 def folder_of(scenario: Scenario) -> Path | None:
-    """Return the folder from which the scenario's relative paths start; None: the working directory."""
+    """Return the folder to which the scenario's paths are relative.
+
+    None means the working directory.
+    """
     return scenario.file.parent if scenario.file is not None else None
 
 
 def avoider_file_of(scenario: Scenario) -> Path | None:
-    """Return the path of the avoider's file, which need not exist; None for an avoider without a file."""
+    """Return the path of the avoider's file, or None for an avoider without a file.
+
+    The file need not exist.
+    """
     if scenario.avoider in SHIPPED:
         return shipped_model(scenario.avoider)
     file, _ = file_and_name(scenario.avoider)
@@ -360,17 +393,19 @@ def avoider_file_of(scenario: Scenario) -> Path | None:
 def with_avoider(scenario: Scenario, reference: str, place: Place | None = None) -> Scenario:
     """Return the scenario with another avoider or controller.
 
-    The result names the file as seen from the scenario's folder.  So the trace of a run identifies the
-    avoider, and ``replay`` finds it.
+    The result contains the file's path relative to the scenario's folder.  Therefore the trace of a run
+    identifies the avoider, and ``replay`` finds the file.
 
     Args:
         scenario: The scenario.
-        reference: The avoider's reference, or a ``Driver``; a relative file is in the working directory.
-        place: The place that errors state, such as the option.  None: ``--avoider`` or ``--controller``.
+        reference: The reference to an avoider, or a ``Driver`` for a controller.  A relative path starts from
+            the working directory.
+        place: The place that error messages state, such as a command-line option.  None means ``--avoider``
+            or ``--controller``.
 
     Raises:
         InadmissibleError: The reference cannot be written into a scenario file, or the scenario's controller
-            asks no avoider.
+            never queries an avoider.
 
     """
     if isinstance(reference, Driver):
@@ -383,7 +418,10 @@ def with_avoider(scenario: Scenario, reference: str, place: Place | None = None)
 
 
 def _placed(scenario: Scenario, key: str, noun: str, reference: str, place: Place) -> dict[str, Any]:
-    """Return the changed fields of the scenario: the new value of ``key``, and the place of that key."""
+    """Return the fields of the scenario that change.
+
+    These fields are the value of ``key``, and the place that messages state for ``key``.
+    """
     folder = resolved(folder_of(scenario) or Path())
     text = str(
         with_file(
@@ -398,8 +436,8 @@ def _placed(scenario: Scenario, key: str, noun: str, reference: str, place: Plac
 def _driven_by(scenario: Scenario, reference: Driver, place: Place) -> Scenario:
     """Return the scenario with ``reference`` as its controller.
 
-    The visual servo keeps the scenario's avoider, or gets the default avoider.  With any other controller,
-    the scenario has no avoider.
+    If the new controller is the visual servo, the scenario keeps its avoider, or gets the default avoider.
+    With any other controller, the scenario has no avoider.
     """
     changes = _placed(scenario, "controller", "a controller", reference, place)
     servo = changes["controller"] == VISUAL_SERVO
@@ -407,7 +445,10 @@ def _driven_by(scenario: Scenario, reference: Driver, place: Place) -> Scenario:
 
 
 def _from_model_file(path: Path, settings: Settings) -> Avoider:
-    """Return the avoider of a model file; ModelError if it was trained for another cell."""
+    """Return the avoider in a model file.
+
+    Raise ModelError if it was trained for another cell.
+    """
     try:
         with path.open("rb") as file:
             digest = hashlib.sha256(file.read(LARGEST_BYTES + 1)).hexdigest()
@@ -420,7 +461,10 @@ def _from_model_file(path: Path, settings: Settings) -> Avoider:
 
 @lru_cache(maxsize=4)  # the scenarios of a folder share one or two models
 def _learned(path: Path, sha256: str) -> LearnedAvoider:
-    """Return the avoider in the model file ``path``; ``sha256`` makes a changed file load again."""
+    """Return the avoider in the model file ``path``.
+
+    ``sha256`` is only a key of the cache: if the file changes, it is loaded again.
+    """
     from safety_harness.cell.avoidance.learned import LearnedAvoider
     from safety_harness.cell.avoidance.model_file import load_model
 
@@ -428,14 +472,20 @@ def _learned(path: Path, sha256: str) -> LearnedAvoider:
 
 
 def _refuse_foreign_onnx(path: Path, settings: Settings) -> None:
-    """Raise ModelError if ``path`` is an ONNX file of ours whose network was trained for another cell."""
+    """Raise ModelError if ``path`` is an ONNX file whose network was trained for another cell.
+
+    The function can only check ONNX files that this package exported.
+    """
     network = exported_use(path)
     if network is not None:
         refuse_foreign_cell(network, settings, path)
 
 
 def as_seen_from(folder: Path, scenario: Scenario) -> Scenario:
-    """Return the scenario with its files named relative to ``folder``: recordings and the avoider's file."""
+    """Return the scenario with its file paths relative to ``folder``.
+
+    They are the paths of recordings and of programs or models.
+    """
     old_folder = scenario.file.parent if scenario.file else Path()
     moved = scenario.with_files(lambda path: named_from(folder, old_folder / path))
     moved = replace(moved, file=folder / "scenario.yaml")
@@ -447,17 +497,21 @@ def as_seen_from(folder: Path, scenario: Scenario) -> Scenario:
 
 
 def with_part(scenario: Scenario, field: str, reference: str) -> Scenario:
-    """Return the scenario with ``reference`` as its part ``field`` of ``BESIDE``.
+    """Return the scenario with ``reference`` as its safety filter or predictor, depending on ``field``.
 
-    A relative file is in the working directory. InadmissibleError if the reference cannot be written into a
-    scenario file.
+    A relative path starts from the working directory. Raise InadmissibleError if the reference cannot be
+    written into a scenario file.
     """
     noun, place = f"a {field.replace('_', ' ')}", Place(field=BESIDE[field])
     return replace(scenario, **_placed(scenario, field, noun, reference, place))
 
 
 def with_system_of(like: Scenario, scenario: Scenario) -> Scenario:
-    """Return ``scenario`` with the avoider or controller of ``like``, moved to the folder of ``like``."""
+    """Return ``scenario`` with the avoider or controller of ``like``.
+
+    The paths of the result are relative to the folder of ``like``. If both scenarios already have the same
+    avoider or controller, ``scenario`` is returned unchanged.
+    """
     tested = [(each.driven, command_line_reference(each)) for each in (like, scenario)]
     if tested[0] == tested[1]:
         return scenario

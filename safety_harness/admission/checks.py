@@ -1,4 +1,4 @@
-"""Checks of sensors, times and faults that are valid alone but do not fit the cell or the avoider."""
+"""Refuse sensors, times and faults that are valid alone but do not fit the cell or the avoider."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _FAULTS = {
 def checked_view(scenario: Scenario) -> DesiredView:
     """Return the view of the object at the desired pose, after checking that the cell allows servoing.
 
-    The result holds for any hands, any start and any hand sensor.
+    The result is valid for any hands, any start and any hand sensor.
     """
     _check_object(scenario)
     view = view_of(scenario.settings)
@@ -93,17 +93,24 @@ def _check_view(scenario: Scenario, view: DesiredView) -> None:
 
 
 def _crosses_itself(corners: NDArray[np.float64]) -> bool:
-    """Return whether any two edges of a polygon (n, 3) meet; neighbours may meet at their common corner."""
+    """Return whether two edges of a polygon that are not neighbours meet.
+
+    The polygon has corners (n, 3).
+    """
     ends, n = np.roll(corners, -1, axis=0), len(corners)
     return any(
         segment_segment_distance(corners[i], ends[i], corners[j], ends[j]) < TOUCHING_M
         for i in range(n)
+        # The first and the last edge are neighbours too.
         for j in range(i + 2, n - (i == 0))
     )
 
 
 def _check_restart_delay(scenario: Scenario) -> None:
-    """Refuse a restart before the longest stop is over, because the drives would jump to the command."""
+    """Refuse a restart delay that is shorter than the longest stop.
+
+    After such a restart, the drives would jump to the commanded position.
+    """
     settings = scenario.settings
     braking = settings.braking
     speed_mps = max(settings.motion.max_tcp_speed_mps, settings.avoidance.repulsion_speed_mps)
@@ -128,13 +135,14 @@ def _check_restart_delay(scenario: Scenario) -> None:
 def check_cameras(scenario: Scenario) -> None:
     """Refuse settings of the cameras that contradict each other or the control ticks.
 
-    The function also refuses a restart before a stop is over, and a shield whose sensor does not see the
+    The function also refuses a restart delay shorter than a stop, and a shield whose sensor does not see the
     whole cell.
     """
     settings = scenario.settings
     _check_restart_delay(scenario)
     most_hz = 1.0 / settings.clock.control_period_s
     for name, rate_hz in (("camera", settings.camera.rate_hz), ("hand sensor", settings.hand_sensor.rate_hz)):
+        # The tolerance covers the rounding of the quotient.
         if rate_hz is not None and rate_hz > most_hz * (1.0 + 1e-9):
             expected = f'a rate of at most {most_hz:g} Hz, the rate of the control ticks, or "every tick"'
             got = f"{rate_hz:g} Hz"
@@ -171,7 +179,7 @@ def refuse_gate(scenario: Scenario) -> None:
 
 
 def _refuse_sets(scenario: Scenario) -> None:
-    """Refuse a gate rule about possible hands that what predicts the hands cannot serve."""
+    """Refuse a gate rule about predicted hands that the scenario's predictor cannot serve."""
     rule = scenario.gate
     if rule is None:
         return
@@ -186,7 +194,10 @@ def _refuse_sets(scenario: Scenario) -> None:
 
 
 def refuse_late_drives(scenario: Scenario) -> None:
-    """Refuse a shield whose reaction time is too short for the arm's drives, against its assumption 7."""
+    """Refuse a shield whose reaction time is shorter than the arm's drives need.
+
+    Such a shield would violate assumption 7 of the shield's proof.
+    """
     if scenario.shield is None:
         return
     period_s = scenario.settings.clock.control_period_s
@@ -204,7 +215,7 @@ def refuse_late_drives(scenario: Scenario) -> None:
 
 
 def _refuse_shield(scenario: Scenario, kind: HandSensorKind) -> None:
-    """Refuse a shield if the hand sensor, of the given ``kind``, does not see the whole cell."""
+    """Refuse a shield if the hand sensor does not see the whole cell, because of its ``kind``."""
     if scenario.shield is not None and kind not in (HandSensorKind.IDEAL, HandSensorKind.SURROUND):
         expected = "a hand sensor that sees the whole cell, since a shield uses it"
         hint = "hand sensor: {kind: surround}"
@@ -212,7 +223,7 @@ def _refuse_shield(scenario: Scenario, kind: HandSensorKind) -> None:
 
 
 def _check_ideal(scenario: Scenario, sensor: HandSensor) -> None:
-    """Refuse settings of faults for an ideal hand sensor, because no run would simulate these faults."""
+    """Refuse noise, delays and similar faults of an ideal hand sensor, because no run would simulate them."""
     faultless = HandSensor()
     for field, name in _FAULTS.items():
         value = getattr(sensor, field)
@@ -224,7 +235,10 @@ def _check_ideal(scenario: Scenario, sensor: HandSensor) -> None:
 
 
 def _check_one_optics(scenario: Scenario) -> None:
-    """Refuse an eye-in-hand sensor whose optics differ from the servoing camera's: both are one camera."""
+    """Refuse an eye-in-hand sensor whose optics differ from the servoing camera's.
+
+    The two are one physical camera.
+    """
     camera, sensor = scenario.settings.camera, scenario.settings.hand_sensor
     for name in ("width", "height", "focal"):
         of_camera, of_sensor = getattr(camera, f"{name}_px"), getattr(sensor, f"{name}_px")
@@ -236,14 +250,15 @@ def _check_one_optics(scenario: Scenario) -> None:
 
 
 def check_decision_time(scenario: Scenario, avoider: Avoider, own: str) -> None:
-    """Raise InadmissibleError if the profile is of another program, or the avoider's time is invalid.
+    """Refuse a time profile that was measured for another program.
 
-    A controller's answers cannot cost the time of the wall's clock.
+    The function also refuses an avoider that declares an invalid time. It refuses a wall-clock cost for the
+    decisions of a controller, because runs of a controller must be repeatable.
 
     Args:
         scenario: The scenario.
         avoider: Its avoider.
-        own: The hash of the file of the avoider or controller; empty without a file.
+        own: The hash of the avoider's or controller's file, or an empty text if there is no file.
 
     """
     try:
@@ -269,8 +284,9 @@ def check_decision_time(scenario: Scenario, avoider: Avoider, own: str) -> None:
 def check_faults(scenario: Scenario) -> None:
     """Refuse faults that no run can simulate.
 
-    These are a false hand that a fixed sensor cannot see, and an object hidden by hands in rendered images.
-    A delay is refused if more pictures would be under way than the buffer holds.
+    Such faults are a false hand outside a fixed sensor's view, and a fault in which hands hide the object
+    from a camera whose images are rendered. The function also refuses a delay at which more pictures would be
+    in transit than the buffer can store.
     """
     for number, fault in enumerate(scenario.faults):
         if isinstance(fault, FalseHand):
@@ -292,7 +308,10 @@ def check_faults(scenario: Scenario) -> None:
 
 
 def _check_seen(scenario: Scenario, number: int) -> None:
-    """Refuse a false hand that a fixed sensor cannot see; a sensor on the arm may still turn to the hand."""
+    """Refuse a false hand that a fixed sensor cannot see.
+
+    A sensor on the arm is accepted, because it may still turn towards the hand.
+    """
     settings = scenario.settings
     if settings.hand_sensor.kind is HandSensorKind.EYE_IN_HAND:
         return

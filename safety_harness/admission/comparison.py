@@ -1,4 +1,7 @@
-"""Put the reference of a comparison in place of the system under test, and refuse the system itself."""
+"""Replace the system under test by the reference system of a comparison.
+
+Refuse a comparison of a system with itself.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +20,9 @@ UNFILTERED = "the unfiltered system"  # the reference of a comparison: the syste
 def reference_for(tested: str | None, reference: str | None) -> str | None:
     """Return the reference given by ``--against``, which is compared with the system under test.
 
-    The result is a ``Driver`` if ``reference`` names a controller of ours or a program.  It is also a
-    ``Driver`` if the tested system is a driver and no avoider has that name.  UNFILTERED stays as it is.
-    InadmissibleError if ``reference`` is the tested system itself.
+    The result is a ``Driver`` if ``reference`` names a controller of this package or refers to a program. The
+    result is also a ``Driver`` if the tested system is a driver and no avoider has the name ``reference``.
+    UNFILTERED is returned unchanged. Raise InadmissibleError if ``reference`` is the tested system itself.
     """
     from safety_harness.cell.controller.named import NAMES as CONTROLLERS  # slow, and few commands need it
 
@@ -30,12 +33,12 @@ def reference_for(tested: str | None, reference: str | None) -> str | None:
 
 
 def refuse_itself(tested: str | None, reference: str | None, option: str = "--against") -> None:
-    """Raise InadmissibleError if both references are one word, or one name in one file.
+    """Raise InadmissibleError if two references are equal, or denote the same name in the same file.
 
     Args:
-        tested: The reference of the system under test; None: the scenario's own.
-        reference: The reference to compare with.
-        option: The option of ``reference``, for the error.
+        tested: The reference to the system under test.  None means that the scenario's own system is tested.
+        reference: The reference to the system with which it is compared.
+        option: The command-line option for ``reference``, for the error message.
 
     """
     whole = {
@@ -49,12 +52,14 @@ def refuse_itself(tested: str | None, reference: str | None, option: str = "--ag
 
 
 def refuse_same(tested: Scenario | None, reference: Scenario, option: str = "--against") -> None:
-    """Raise InadmissibleError if both scenarios test one system, also under an alias or in a copied file.
+    """Raise InadmissibleError if both scenarios test the same system.
+
+    The function recognises an alias and a copied file.
 
     Args:
-        tested: The scenario under test; None: nothing to compare.
-        reference: The same scenario with the reference in place of its system.
-        option: The option of the reference, for the error.
+        tested: The scenario under test.  None means that there is no comparison.
+        reference: The same scenario with the reference system in place of the system under test.
+        option: The command-line option for the reference system, for the error message.
 
     """
     if tested is None or tested.safety_filter != reference.safety_filter:
@@ -66,7 +71,7 @@ def refuse_same(tested: Scenario | None, reference: Scenario, option: str = "--a
 def _is_copy(tested: Scenario, reference: Scenario) -> bool:
     """Return whether the files of both scenarios' systems have the same bytes.
 
-    A copy of a program in another folder may read other files, so the function does not regard it as a copy.
+    A program in another folder is not regarded as a copy, because it may read other files there.
     """
     sides = tested, reference
     first, second = (avoider_file_of(replace(side, avoider=str(side.under_test))) for side in sides)
@@ -80,8 +85,8 @@ def _is_copy(tested: Scenario, reference: Scenario) -> bool:
 def with_reference(scenario: Scenario, reference: str, place: Place) -> Scenario:
     """Return the scenario with the reference of a comparison in place of its avoider or controller.
 
-    With UNFILTERED as the reference, only the safety filter is left out.  InadmissibleError at ``place`` if
-    the reference cannot be used, or if there is no filter.
+    If the reference is UNFILTERED, the function only removes the safety filter.  Raise InadmissibleError at
+    ``place`` if the reference cannot be used, or if there is no filter to remove.
     """
     if reference != UNFILTERED:
         return with_avoider(scenario, reference, place)

@@ -1,4 +1,4 @@
-"""Controllers other than the visual servo: how they are made, and what they demand of the cell."""
+"""Controllers other than the visual servo: their creation and the checks of a scenario that uses them."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ IN_PYTHON = " (an object in Python)"  # added to its name, as a reference withou
 
 
 class _Nobody:
-    """A stand-in for the avoider of a controller that never asks an avoider."""
+    """A placeholder for the avoider, for controllers that never query an avoider."""
 
     name = NO_AVOIDER
 
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """Raise AvoiderError, because no controller asks this stand-in."""
+        """Raise AvoiderError, because a controller without an avoider must not query this placeholder."""
         raise AvoiderError("the controller asks no avoider")
 
 
@@ -59,7 +59,10 @@ NOBODY: Avoider = _Nobody()
 
 @dataclass(frozen=True, eq=False)
 class MadeDriver:
-    """A user's controller, which may keep data in memory, and a function that makes a fresh controller."""
+    """A user's controller, together with a function that creates a new instance of it.
+
+    The controller may store data in memory.
+    """
 
     controller: UserController
     make: Callable[[], UserController]
@@ -69,15 +72,15 @@ class MadeDriver:
 
     @property
     def many(self) -> bool:
-        """Whether the controller can drive many episodes side by side, with one object for each episode."""
+        """Whether the controller can drive many episodes side by side, with one object per episode."""
         return getattr(self.controller, "another", None) is not None and DECISIONS not in reports_of(
             self.controller
         )
 
     def lane(self, number: int) -> UserController:
-        """Return the controller of lane ``number``, the same object each time.
+        """Return the controller of lane ``number``.
 
-        The first lane uses the controller of single runs.
+        Every call returns the same object.  The first lane uses the controller of single runs.
         """
         another: Any = getattr(self.controller, "another", None)
         while len(self._lanes) <= number:
@@ -86,7 +89,7 @@ class MadeDriver:
 
     @property
     def component(self) -> Component:
-        """The controller's entry in the record of the system under test."""
+        """The component that describes the controller in the record of the system under test."""
         return Component(name=self.controller.name, sha256=self.sha256)
 
     @property
@@ -96,13 +99,19 @@ class MadeDriver:
 
 
 class Drivers:
-    """The controllers of scenarios, each made only once, so that their memory lasts from run to run."""
+    """The controllers of scenarios.
+
+    Each is created only once, so that its memory lasts from one run to the next.
+    """
 
     def __init__(self) -> None:
         self._made: dict[tuple[str, Path | None], MadeDriver] = {}
 
     def driver_for(self, scenario: Scenario) -> MadeDriver:
-        """Return the scenario's controller; InadmissibleError at its key if it does not exist."""
+        """Return the scenario's controller.
+
+        Raise InadmissibleError at the key ``controller`` if the controller cannot be used.
+        """
         key = scenario.controller, folder_of(scenario)
         if key not in self._made:
             made = self._made_of(key, scenario.place("controller"))
@@ -114,7 +123,10 @@ class Drivers:
         return self._made[key]
 
     def filter_for(self, scenario: Scenario) -> MadeDriver:
-        """Return the scenario's safety filter; InadmissibleError at its key if it does not exist."""
+        """Return the scenario's safety filter.
+
+        Raise InadmissibleError at the key ``safety filter`` if the filter cannot be used.
+        """
         place, folder = scenario.place("safety filter"), folder_of(scenario)
         refuse_unusable_filter(scenario)
         key = scenario.safety_filter, folder
@@ -126,7 +138,10 @@ class Drivers:
         return made
 
     def predictor_for(self, scenario: Scenario) -> MadeDriver:
-        """Return the scenario's predictor; InadmissibleError at its key if it does not exist."""
+        """Return the scenario's predictor.
+
+        Raise InadmissibleError at the key ``predictor`` if the predictor cannot be used.
+        """
         place, folder = scenario.place("predictor"), folder_of(scenario)
         refuse_unusable_predictor(scenario)
         if scenario.predictor == KALMAN_FILTER:
@@ -144,19 +159,22 @@ class Drivers:
         self._made = {key: made for key, made in self._made.items() if names_onnx(key[0])}
 
     def _made_of(self, key: tuple[str, Path | None], place: Place) -> MadeDriver:
-        """Return the controller or filter of a reference and folder, made now."""
+        """Create and return the controller or filter for a reference and a folder."""
         make = controller_of(*key, place)
         self._made[key] = MadeDriver(make(), make, controller_sha256(*key))
         return self._made[key]
 
 
 def kalman_filter() -> MadeDriver:
-    """Return the predictor that ships."""
+    """Return the predictor that this package ships, a Kalman filter."""
     return MadeDriver(KalmanFilter(), KalmanFilter)
 
 
 def driver_of(controller: object) -> MadeDriver:
-    """Return the driver for a user's own object; InadmissibleError if the object breaks the contract."""
+    """Return the driver for a user's own object.
+
+    Raise InadmissibleError if the object does not fulfil the interface of a controller.
+    """
     place = Place(field="admit(controller)")
     if isinstance(controller, type):
         hint = f"{controller.__name__}() makes one"
@@ -166,12 +184,12 @@ def driver_of(controller: object) -> MadeDriver:
 
 
 def refuse_unusable_driver(scenario: Scenario) -> None:
-    """Raise those errors of ``Drivers`` that can be found without executing user code."""
+    """Raise those errors of ``Drivers`` that can be detected without executing user code."""
     refuse_unusable_controller(scenario.controller, folder_of(scenario), scenario.place("controller"))
 
 
 def refuse_unusable_filter(scenario: Scenario) -> None:
-    """Raise those errors of a safety filter that can be found without executing user code."""
+    """Raise those errors of a safety filter that can be detected without executing user code."""
     reference, place = scenario.safety_filter, scenario.place("safety filter")
     if not reference:
         return
@@ -182,7 +200,10 @@ def refuse_unusable_filter(scenario: Scenario) -> None:
 
 
 def _refuse_no_program(scenario: Scenario, reference: str, forms: str, place: Place) -> None:
-    """Refuse a ``reference`` that is no program, or none that can be used; ``forms`` are its other forms."""
+    """Refuse a ``reference`` that is no program, or a program that cannot be used.
+
+    ``forms`` states further allowed references, for the error message.
+    """
     if not is_a_program(reference):
         expected = f"{forms}FILE.py:NAME, exec:COMMAND, tcp:HOST:PORT or unix:PATH"
         hint = f"name the class in it as well: {reference}:NAME" if reference.endswith(".py") else ""
@@ -191,7 +212,7 @@ def _refuse_no_program(scenario: Scenario, reference: str, forms: str, place: Pl
 
 
 def refuse_unusable_predictor(scenario: Scenario) -> None:
-    """Raise those errors of a predictor that can be found without executing user code."""
+    """Raise those errors of a predictor that can be detected without executing user code."""
     reference, place = scenario.predictor, scenario.place("predictor")
     if not reference:
         return
@@ -204,11 +225,11 @@ def refuse_unusable_predictor(scenario: Scenario) -> None:
 
 
 def refuse_other_parts(trace: Trace, scenario: Scenario, file: Path | None = None) -> None:
-    """Raise TraceError if a part in ``BESIDE`` differs from the trace's, by its name or its file's hash.
+    """Raise TraceError if the name or file hash of a part in ``BESIDE`` differs from the trace.
 
     Args:
-        trace: The trace, from ``file``.
-        scenario: Its scenario with the parts that the user named again.
+        trace: The trace, which was loaded from ``file``.
+        scenario: The scenario of the trace, with the parts that the user states for the repetition.
         file: The file of the trace, for the error.
 
     """
@@ -227,9 +248,9 @@ def refuse_other_parts(trace: Trace, scenario: Scenario, file: Path | None = Non
 
 
 def named_system(scenario: Scenario) -> SystemUnderTest:
-    """Return the system under test as the scenario's references name it; no avoider or controller is made.
+    """Return the system under test as described by the scenario's references.
 
-    A file appears by its name, without its folder.
+    The function creates no avoider and no controller.  A file appears under its name, without its folder.
     """
     called = _called(scenario.under_test)
     if scenario.driven:
@@ -247,17 +268,17 @@ def named_system(scenario: Scenario) -> SystemUnderTest:
 
 
 def _called(reference: str) -> str:
-    """Return the reference of a part with its file named without the folder."""
+    """Return the reference of a part, with the folder removed from its file's path."""
     file, name = file_and_name(reference)
     return f"{Path(file).name}:{name}" if name else Path(file).name or str(reference)
 
 
 def refuse_no_action(scenario: Scenario, driver: MadeDriver, driven_by: Callable[..., Any]) -> None:
-    """Raise InadmissibleError for an ONNX policy that fails, or whose fixed axes do not fit the scenario.
+    """Raise InadmissibleError if an ONNX policy fails, or if its fixed axes do not fit the scenario.
 
-    The axes must fit the arm, the hands and the image.  The function asks the policy once, as the controller
-    that ``driven_by`` returns, with a black image.  It asks no program, because the question might change the
-    program's state.
+    The axes must fit the number of joints, the number of hands and the image size.  The function queries the
+    policy once with a black image, through the controller that ``driven_by`` returns.  It does not query a
+    program, because the query might change the program's state.
     """
     camera, rows = scenario.settings.camera, scenario.hand_slots * TRACKS_PER_HAND
     key = scenario.robot, rows, camera.height_px, camera.width_px
@@ -283,7 +304,10 @@ def refuse_no_images(scenario: Scenario, driver: MadeDriver) -> None:
 
 
 def refuse_faults_of_avoider(scenario: Scenario) -> None:
-    """Raise InadmissibleError for a fault of an avoider; the caller has checked that no avoider is asked."""
+    """Raise InadmissibleError if the scenario contains a fault of an avoider.
+
+    The caller has checked that the scenario's controller queries no avoider.
+    """
     for number, fault in enumerate(scenario.faults):
         if isinstance(fault, AvoiderLate | AvoiderNaN | AvoiderSilent):
             expected = f"faults of cameras, joints and brakes: {scenario.controller} asks no avoider"

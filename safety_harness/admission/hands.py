@@ -1,4 +1,4 @@
-"""Checks of hands against the cell, the robot and their own bounds, which need the whole scenario."""
+"""Check a scenario's hands against the cell, the robot and the hands' own bounds."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from safety_harness.scenario.moves import MoveTo, Sweep, Wait, Wander
 def check_hands(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) -> None:
     """Refuse a hand that goes below the table, exceeds its own bounds or begins inside the robot.
 
-    Only the hand's centre must stay above the table.
+    Only the hand's centre must stay above the table, while its surface may go below.
     """
     table_m, ceiling_m = scenario.settings.cell.table_height_m, _ceiling_m(scenario)
     for number, hand in enumerate(scenario.hands):
@@ -45,7 +45,7 @@ def check_hands(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) -
 
 
 def _check_speeds(scenario: Scenario, number: int, hand: MovingHand) -> None:
-    """Refuse a move that is faster than the hand's bound, in a scenario made by a program.
+    """Refuse a move that is faster than the hand's speed bound, in a scenario created by a program.
 
     For a scenario from a file, the reader makes this check.
     """
@@ -59,7 +59,7 @@ def _check_speeds(scenario: Scenario, number: int, hand: MovingHand) -> None:
 def _ceiling_m(scenario: Scenario) -> float:
     """Return the greatest height [m] that a hand may reach.
 
-    Only a shield limits the height: its sensor looks down, so it would not see a hand above the sensor.
+    Only a shield limits the height, because its sensor looks down and would not see a hand above itself.
     """
     sensor = scenario.settings.hand_sensor
     if scenario.shield is None:
@@ -68,9 +68,10 @@ def _ceiling_m(scenario: Scenario) -> float:
 
 
 def _ends(hand: MovingHand | RecordedHand, duration_s: float) -> list[tuple[str, str, float]]:
-    """Return the points where the hand's centre may be lowest or highest, as (field, time in words, z [m]).
+    """Return points of the hand's path, among which are its lowest and its highest point.
 
-    The points leave out the tremor.
+    The path is that of the hand's centre. Each entry is a tuple: the field, a text that states the time or
+    the shift, and the height z [m]. The points do not include the hand's tremor.
     """
     if isinstance(hand, RecordedHand):
         motion = hand.motion

@@ -1,4 +1,4 @@
-"""Checks that servoing works at the start pose and at the desired pose of the TCP."""
+"""Check that servoing works at the start pose and at the desired pose of the TCP."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ VIEW = (
 
 
 def checked_start(scenario: Scenario, arm: ArmModel, *, sees_object: bool = True) -> NDArray[np.float64]:
-    """Return the joint angles of the start, or refuse a start from which the arm cannot work.
+    """Return the joint angles of the start, after checking that the arm can work from there.
 
-    The start must not be singular or too near to the table.  If the controller ``sees_object``, the object
-    must be in view.
+    The start must not be singular or too near to the table.  If ``sees_object`` is true, the object must be
+    in view.
     """
     joints = start_joint_position(scenario, arm)
     _check_pose(scenario, arm, joints, "TCP start", START)
@@ -54,9 +54,9 @@ def checked_start(scenario: Scenario, arm: ArmModel, *, sees_object: bool = True
 
 
 def start_joint_position(scenario: Scenario, arm: ArmModel) -> NDArray[np.float64]:
-    """Return the joint angles of the TCP start, given or computed.
+    """Return the joint angles of the start, which the scenario states or the inverse kinematics computes.
 
-    The inverse kinematics uses the preferred branch.
+    The inverse kinematics prefers the branch near the preferred joint angles.
     """
     start = scenario.start
     if isinstance(start, JointStart):
@@ -91,7 +91,8 @@ def check_desired(scenario: Scenario, arm: ArmModel) -> None:
 def check_posture(scenario: Scenario, arm: ArmModel) -> None:
     """Refuse a preferred joint position that belongs to another arm.
 
-    Such a position has a wrong number of angles, or is the default although the arm is the user's own.
+    A position belongs to another arm if its number of angles is wrong, or if the arm is the user's own and
+    the position is the default.
     """
     given = scenario.settings.cell.preferred_joint_position_rad
     if isinstance(scenario.robot, OwnRobot) and given == DEFAULTS.cell.preferred_joint_position_rad:
@@ -104,7 +105,7 @@ def check_posture(scenario: Scenario, arm: ArmModel) -> None:
 
 
 def check_stuck_joints(scenario: Scenario, arm: ArmModel) -> None:
-    """Refuse a stuck joint that the arm does not have."""
+    """Refuse a fault that blocks a joint which the arm does not have."""
     for number, fault in enumerate(scenario.faults):
         if isinstance(fault, JointStuck) and list(Joint).index(fault.joint) >= len(arm.joint_names):
             expected = f"one of the {len(arm.joint_names)} joints of the arm, counted from its foot"
@@ -123,7 +124,7 @@ def check_obstacles(scenario: Scenario, arm: ArmModel, joint_position_rad: Array
 
 
 def check_drives(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) -> None:
-    """Refuse drives that are too weak to hold the arm at its start."""
+    """Refuse drives that are too weak to hold the arm still at its start."""
     model = drive_model(scenario.robot)
     if model is None or model.masses is None or model.torque_limit_nm is None:
         return
@@ -139,7 +140,7 @@ def check_drives(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) 
 
 
 def _refuse_other_count(scenario: Scenario, arm: ArmModel, count: int, field: str) -> None:
-    """Refuse ``count`` joint angles if the arm has another number of joints."""
+    """Refuse a list of ``count`` joint angles if the arm has another number of joints."""
     if count != len(arm.joint_names):
         expected = f"{len(arm.joint_names)} angles, of {', '.join(arm.joint_names)}"
         raise scenario.inadmissible(expected, f"{count}", field, "robot")
@@ -148,7 +149,10 @@ def _refuse_other_count(scenario: Scenario, arm: ArmModel, count: int, field: st
 def _reached(
     scenario: Scenario, transform_tcp_to_base: NDArray[np.float64], pose: str, field: str
 ) -> NDArray[np.float64]:
-    """Return the joint angles of a pose, near the preferred angles; InadmissibleError if out of reach."""
+    """Return the joint angles of a pose, as near as possible to the preferred angles.
+
+    Raise InadmissibleError if the arm cannot reach the pose.
+    """
     preferred = np.array(scenario.settings.cell.preferred_joint_position_rad)
     joints = inverse_kinematics(scenario.robot).nearest(transform_tcp_to_base, preferred)
     if joints is None:
@@ -193,7 +197,10 @@ def _check_in_view(
 
 
 def _above(settings: Settings) -> str:
-    """Return advice: the desired TCP position, at its present height, with the camera above the object."""
+    """Return a hint with the desired TCP position that puts the camera right above the object.
+
+    The position has the same height as the present desired position.
+    """
     cell = settings.cell
     mount_in_base_m = product(LOOKING_DOWN, np.array(settings.camera.mount_offset_in_tcp_m))
     place_m = np.array(settings.object.position_in_base_m) - mount_in_base_m
@@ -206,5 +213,5 @@ def _above(settings: Settings) -> str:
 
 
 def _millimetres(position_m: NDArray[np.float64]) -> str:
-    """Return a position in millimetres as text."""
+    """Return a position as text in millimetres."""
     return "(" + ", ".join(str(round(value * 1e3)) for value in position_m) + ") mm"

@@ -1,6 +1,7 @@
 """A preview of an admitted scenario before its run: the paths of the hands, and the camera's view.
 
-No run is simulated, so a hand that heads for the TCP finds the TCP at its start.
+The preview simulates no run, so a hand that moves towards the TCP moves towards the start position of the
+TCP.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from safety_harness.cell.simulation.hand_programs import hands_at_start
 from safety_harness.scenario.model import Scenario
 
 Floats = NDArray[np.float64]
-STEP_S = 0.02
+STEP_S = 0.02  # between two points of a drawn path; a choice
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +52,7 @@ class Preview:
 
 
 def preview_of(checked: Checked) -> Preview:
-    """Return the scene of a scenario that can run."""
+    """Return the preview of a scenario that can run."""
     scenario, arm = checked.scenario, checked.arm
     transforms = links_in_base(arm, checked.joint_position_rad)
     return Preview(

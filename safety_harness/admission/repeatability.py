@@ -1,9 +1,10 @@
-"""Repeatability: a second avoider answers the first avoider's questions again, alone and in another order.
+"""Check repeatability: a second avoider answers the first avoider's questions again, in another order.
 
-The questions come from stored runs, so the check disturbs no run.  If the avoider is an executed file, the
-second avoider lives in a separate process.  Any other avoider is a function by construction, and answers in
-this process.  The hash of a question decides whether and when it is repeated.  So the sample and its order
-depend neither on the order in which runs end nor on a shared seed.
+The questions come from stored runs, so the check disturbs no run. If the avoider is a file that must be
+executed, the second avoider runs in a separate process. Any other avoider is a pure function, and the second
+avoider runs in this process. The hash of a question decides whether the question is repeated, and determines
+its position in the repetition. Therefore the sample and its order do not depend on the order in which runs
+end, or on a shared seed.
 """
 
 from __future__ import annotations
@@ -49,16 +50,16 @@ Difference = tuple[float, str]  # distance of the two answers [m], inf without a
 
 @dataclass(frozen=True, kw_only=True)
 class RepeatabilityResult:
-    """The result of asking questions again.
+    """The result of repeating the questions of an avoider.
 
     Args:
         questions: The number of questions in the runs.
-        asked: The number of repeated questions.
-        differing: The number of different answers.
-        words: The worst difference in words.  If no answer differs by more than ``ROUNDING_M``: the reason
-            why no more questions could be asked, or the size of the rounding.
-        apart: Whether another process answered the repeated questions.
-        together: Whether the questions were also answered in one call.
+        asked: The number of questions that were repeated.
+        differing: The number of repeated questions with a different answer.
+        words: A text that describes the largest difference. If no answer differs by more than ``ROUNDING_M``,
+            it states the size of the rounding, or the reason why no more questions could be asked.
+        apart: Whether the second avoider ran in another process.
+        together: Whether the questions were also repeated in a single call.
 
     """
 
@@ -72,23 +73,26 @@ class RepeatabilityResult:
 
     @property
     def problem(self) -> str:
-        """The reason why the command ends with exit code 1; empty if answers differ only by rounding."""
+        """The reason for which the command ends with exit code 1.
+
+        The text is empty if answers differ only by rounding.
+        """
         return "" if self.words.startswith(ROUNDED) else self.words
 
     @property
     def remembers(self) -> str:
-        """The finding that equal questions got different answers; empty if no answer differs."""
+        """A text on different answers to equal questions, or an empty text if no answer differs."""
         differ = f"{self.differing} of {self.asked} {self._repeated} differ"
         return f"{self.words}; {differ}" if self.differing else ""
 
     @property
     def line(self) -> str:
-        """The result on one line."""
+        """The result as a single line of text."""
         return self.remembers or self.words or f"repeatability: {self._alike}"
 
     @property
     def _alike(self) -> str:
-        """The result on one line if all answers are equal."""
+        """The single line for the case that all answers are equal."""
         if not self.asked:
             return "the avoider was asked nothing that could be asked again"
         where = "a second avoider in a process of its own" if self.apart else "a second avoider"
@@ -99,10 +103,12 @@ class RepeatabilityResult:
 
 @dataclass(frozen=True, kw_only=True)
 class DrivenAgain(RepeatabilityResult):
-    """The result of repeated runs: fresh controllers drove ``asked`` of ``questions`` runs again.
+    """The result of repeating runs.
 
-    If ``of_avoider``, the visual servo drove these runs, with a fresh avoider. ``beside`` are the kinds of
-    other fresh parts: safety filter, predictor. If ``of_simulator``, the runs were in a user's simulator.
+    New controllers repeated ``asked`` runs out of the ``questions`` runs in total. If ``of_avoider`` is true,
+    the visual servo drove these runs, and a new avoider was used for each repetition. ``beside`` lists the
+    kinds of other parts that were created anew: safety filter, predictor. If ``of_simulator`` is true, the
+    runs took place in a user's simulator.
     """
 
     of_avoider: bool = False
@@ -112,7 +118,7 @@ class DrivenAgain(RepeatabilityResult):
 
     @property
     def who(self) -> str:
-        """The parts that may have changed between two equal runs."""
+        """The parts that may have caused a difference between two repetitions of a run."""
         return "simulator or the system in it" if self.of_simulator else " or its ".join(self._parts)
 
     @property
@@ -121,7 +127,7 @@ class DrivenAgain(RepeatabilityResult):
 
     @property
     def _alike(self) -> str:
-        """The result on one line if all repeated runs are equal."""
+        """The single line for the case that all repeated runs are equal."""
         if not self.asked:
             return f"the {self.who} ended no run that could be driven again"
         runs, fresh = f"{self.asked} of {self.questions} runs", " and ".join(self._parts)
@@ -133,12 +139,13 @@ class DrivenAgain(RepeatabilityResult):
 
 @dataclass(frozen=True)
 class DrivenRun:
-    """A run that may be repeated: its name and world, a hash of its commands and angles, and a file's hash.
+    """A run that may be repeated, with hashes that show whether the repetition is the same.
 
-    ``controller_sha256`` is the hash of the controller's or avoider's file.  If ``asks``, the visual servo
-    drove the run and asked the avoider in that file.  ``parts`` are the references of the system's parts, the
-    driver first, and ``beside`` the kinds of the parts after it.  ``simulated`` states that the world is a
-    user's simulator.
+    ``sha256`` is the hash of the run's commands and joint angles. ``controller_sha256`` is the hash of the
+    file of the controller or the avoider. If ``asks`` is true, the visual servo drove the run and queried the
+    avoider in that file. ``parts`` lists the references to the parts of the system, beginning with the
+    controller or avoider. ``beside`` lists the kinds of the remaining parts. ``simulated`` is true if the
+    world is a user's simulator.
     """
 
     run: str
@@ -157,9 +164,9 @@ class DrivenRun:
 
 
 def driven_in(trace: Trace) -> DrivenRun | None:
-    """Return the data of a run that can be repeated as a whole, or None.
+    """Return the data of a run that can be repeated as a whole, or None if it cannot.
 
-    None means that the run broke off, or that its questions can be repeated instead.
+    The result is None if the run broke off, or if only its questions need to be repeated.
     """
     scenario, simulated = trace.scenario, is_simulator(trace.provenance.world)
     programs = scenario.driven or is_a_program(scenario.avoider) or scenario.has_parts_beside
@@ -187,7 +194,10 @@ def driven_in(trace: Trace) -> DrivenRun | None:
 
 @dataclass(frozen=True, eq=False)
 class _Sampled:
-    """A question, its scenario, its avoider's file, and ``order``, the hash that draws the question."""
+    """A question of a run, with the data that are needed to repeat it.
+
+    ``order`` is the hash that decides whether the question is drawn.
+    """
 
     order: bytes
     case: Asked
@@ -196,13 +206,14 @@ class _Sampled:
 
 
 class Repeatability:
-    """A collection of the questions that avoiders answer; ``check`` asks a sample of them again.
+    """A collection of the questions that avoiders have answered.
 
-    For a controller other than the visual servo, the object collects runs, and a fresh controller repeats a
-    sample of them.  A controller that keeps data from earlier episodes then drives differently.
+    The method ``check`` repeats a sample of them.  If a controller other than the visual servo drives the
+    arm, the object collects whole runs, and a new controller repeats a sample of them.  The repetition
+    reveals a controller that stores data from earlier episodes, because it then drives differently.
 
-    The wall clock limits the size of the sample.  ``check`` may take ``SHARE`` of the time since the
-    construction of the object, but repeats at least ``LEAST`` questions.
+    The time available limits the size of the sample.  ``check`` may use the fraction ``SHARE`` of the time
+    since the object was created, but repeats at least ``LEAST`` questions.
     """
 
     def __init__(self) -> None:
@@ -214,9 +225,9 @@ class Repeatability:
         self._last: Callable[[], Scenario] | None = None  # of the last run, even if it broke off
 
     def add(self, trace: Trace) -> None:
-        """Add the questions of a run, or the whole run if the scenario names a controller.
+        """Add the questions of a run, or the whole run if it has a user's controller, program or simulator.
 
-        If a program passes its controller as an object, the run cannot be repeated.
+        A run cannot be repeated if its controller was passed as a Python object.
         """
         scenario = trace.scenario
         driven = driven_in(trace)
@@ -228,24 +239,35 @@ class Repeatability:
     def take(
         self, cases: Iterable[Asked], scenario: Callable[[], Scenario], avoider_sha256: str = ""
     ) -> None:
-        """Add the questions ``cases`` of a run; ``scenario`` returns the scenario that names the avoider."""
+        """Add the questions ``cases`` of a run.
+
+        ``scenario`` is a function that returns the run's scenario, which refers to the avoider.
+        """
         self._last = scenario
         for case in cases:
             self._questions += 1
             self._sample.append(_Sampled(_order(case.question), case, scenario, avoider_sha256))
+        # Cut the sample only when it has doubled, so that most additions cost no search.
         if len(self._sample) > 2 * MOST:
             self._sample = self._drawn()
 
     def take_run(self, run: DrivenRun, scenario: Callable[[], Scenario]) -> None:
-        """Add a whole run; ``scenario`` returns the scenario that names the controller."""
+        """Add a whole run.
+
+        ``scenario`` is a function that returns the run's scenario, which refers to the controller.
+        """
         self._runs += 1
         self._driven.append((run, scenario))
         if len(self._driven) > 2 * MOST_RUNS:
             self._driven = self._drawn_runs()
 
     def _drawn_runs(self) -> list[tuple[DrivenRun, Callable[[], Scenario]]]:
-        """Return the sample of runs, in which the first ones are of different systems."""
+        """Return the sample of runs.
+
+        It begins with one run of each different system.
+        """
         ordered = sorted(self._driven, key=lambda item: item[0].sha256)
+        # Reversed, so that the first run of each system in the order of the hashes remains.
         firsts = {run.parts: run for run, _ in reversed(ordered)}
         first = [item for item in ordered if item[0] == firsts[item[0].parts]]
         return [*first, *(item for item in ordered if item not in first)][: max(MOST_RUNS, len(first))]
@@ -275,7 +297,7 @@ class Repeatability:
         return replace(result, asked=again, differing=len(texts), words=texts[0] if texts else "")
 
     def check(self, least: int = LEAST) -> RepeatabilityResult:
-        """Repeat the questions, first each alone in the order of their hashes, then all in one call."""
+        """Repeat the questions one by one, in the order of their hashes, and then all of them in one call."""
         allowed_s = SHARE * (time.monotonic() - self._begun_s)
         if not all(run.asks for run, _ in self._driven) or self._only_controllers_broke_off():
             return self._drive_again(allowed_s)
@@ -300,7 +322,10 @@ class Repeatability:
         )
 
     def reported(self, output: Output) -> RepeatabilityResult | None:
-        """Return the result of ``check`` and print it; None if the user pressed Ctrl-C."""
+        """Print the result of ``check`` and return it.
+
+        Return None if the user pressed Ctrl-C.
+        """
         try:
             result = self.check()
         except KeyboardInterrupt:
@@ -310,7 +335,7 @@ class Repeatability:
         return result
 
     def _only_controllers_broke_off(self) -> bool:
-        """Return whether every run had a controller that asks no avoider, and broke off."""
+        """Return whether all runs broke off and had a controller that queries no avoider."""
         if self._questions or self._driven or self._last is None:
             return False
         try:
@@ -324,7 +349,7 @@ class Repeatability:
 
 
 def _driven_otherwise(run: DrivenRun, scenario: Scenario, who: str) -> str:
-    """Return, in words, how a fresh driver drives the scenario differently; empty if it does not."""
+    """Return a text that describes why repetitions with new controllers differ, or an empty text."""
     world = world_of_trace(run.world)
     runs = [driven_in(run_trial(Admitter().admit(scenario), world=world)) for _ in range(2)]
     again = [run_again for run_again in runs if run_again is not None]
@@ -352,7 +377,11 @@ def _order(question: Question) -> bytes:
 
 @dataclass(eq=False)
 class _Again:
-    """The result of repeated questions: second avoiders by identity, and differing answers by question."""
+    """The result of repeating questions.
+
+    ``seconds`` contains the second avoiders, with the identity of the first avoider as the key. ``differing``
+    contains the differing answers, with the question as the key.
+    """
 
     asked: int = 0
     problem: str = ""
@@ -361,10 +390,10 @@ class _Again:
     seconds: dict[int, _Second] = field(default_factory=dict)
 
     def ask(self, sample: list[_Sampled], least: int, allowed_s: float) -> None:
-        """Ask the questions of ``sample`` alone, then together in one call.
+        """Ask the questions of ``sample`` one by one, and then all together in one call.
 
-        The first part stops after half of ``allowed_s``, but not before ``least`` questions.  The one call
-        takes no longer than the questions alone.
+        The first phase stops after half of ``allowed_s``, but not before ``least`` questions.  The single
+        call is expected to take no longer than the first phase.
         """
         avoiders, begun_s = Avoiders(), 0.0
         for sampled in sample:
@@ -395,7 +424,10 @@ class _Again:
 
 @dataclass(eq=False)
 class _Second:
-    """A second avoider with its questions; no run has asked the question ``first``."""
+    """A second avoider, with the questions to repeat.
+
+    ``first`` is a question that no run has used.
+    """
 
     avoider: Avoider
     first: Question
@@ -410,7 +442,7 @@ class _Second:
         return avoider.takes_many if isinstance(avoider, OutOfProcessAvoider) else takes_many(avoider)
 
     def alone(self, case: Asked) -> Difference | None:
-        """Return how the avoider's answer to one question differs from the first; None if equal."""
+        """Return how the avoider's answer to one question differs from the first answer, or None."""
         self.asked.append(case)
         why = "the avoider remembers" + (", or heeds what else is asked" if self._takes_many else "")
         try:
@@ -420,7 +452,10 @@ class _Second:
             return np.inf, f"{why}: asked again alone it hangs: {error} ({_place(case)})"
 
     def together(self) -> Iterator[tuple[Asked, Difference]]:
-        """Ask all questions in one call, and yield each question whose answer differs, and how."""
+        """Ask all questions in one call.
+
+        Yield each question whose answer differs from its first answer, with a text on the difference.
+        """
         if self._takes_many:
             answers = answers_together(self.avoider, [self.first, *(case.question for case in self.asked)])
             if not answers or not np.isnan(answers[0].latency_s):  # it answered them one by one
@@ -433,7 +468,10 @@ class _Second:
 
 
 def _compared(why: str, case: Asked, answer: Answer) -> Difference | None:
-    """Return how ``answer`` differs from the first answer to ``case``; None if both are equal."""
+    """Return the difference between ``answer`` and the first answer to ``case``.
+
+    Return None if the answers are equal.
+    """
     how = difference(case.answer, answer)
     if not how:
         return None
@@ -444,5 +482,5 @@ def _compared(why: str, case: Asked, answer: Answer) -> Difference | None:
 
 
 def _place(case: Asked) -> str:
-    """Return, in words, the number of a question and the run that asked it."""
+    """Return a text with the number of a question and the name of its run."""
     return f"question {case.number} of {case.run}"

@@ -1,6 +1,6 @@
-"""Runs in several processes.
+"""Execution of runs in several processes.
 
-Only shipped avoiders run there, because they keep no data from run to run.
+Only shipped avoiders run in other processes, because they store no data between runs.
 """
 
 from __future__ import annotations
@@ -28,7 +28,10 @@ _AHEAD = 16  # finished runs for each process that may await judgement; a trace 
 
 @dataclass
 class RunProcesses:
-    """The runs in progress in other processes, in the order in which the caller will request them."""
+    """The runs that other processes execute.
+
+    The caller must request the runs in the order of their submission.
+    """
 
     world: WorldEntry
     executor: ProcessPoolExecutor | None = None
@@ -37,9 +40,10 @@ class RunProcesses:
     _begun: dict[int, Future[Trace | Exception]] = field(default_factory=dict)
 
     def trace(self, admitted: Admitted) -> Trace | None:
-        """Wait for a run in another process and return its trace; None if this process has to run it.
+        """Wait for the run in another process and return its trace.
 
-        An exception of the other process is raised here.
+        Return None if this process has to execute the run itself.  If that run raised an exception, the
+        exception is raised here again.
         """
         if self.executor is None or executes(admitted.scenario):
             return None
@@ -61,17 +65,20 @@ class RunProcesses:
 
 
 class _EnoughError(Exception):
-    """Raised at the end of the block, since the caller needs no further run."""
+    """The exception that skips the runs that the caller no longer needs.
+
+    It is raised at the end of the block.
+    """
 
 
 @contextmanager
 def run_processes(
     admitted: Iterable[Admitted], world: WorldEntry, jobs: int | None
 ) -> Iterator[RunProcesses]:
-    """Yield the runs that ``jobs`` processes work on; None: one process for each core.
+    """Yield the runs that ``jobs`` processes execute.
 
-    With fewer than FEWEST_RUNS runs, no process starts.  At the end of the block, unfinished runs are
-    dropped.
+    None means one process for each core.  If there are fewer than FEWEST_RUNS runs, no process is started.
+    At the end of the block, unfinished runs are cancelled.
     """
     movable = deque(run for run in admitted if not executes(run.scenario))
     jobs = jobs or len(os.sched_getaffinity(0))

@@ -1,7 +1,8 @@
-"""Admissible draws of a scenario space: the next draw replaces a refused draw, and both are counted.
+"""Draw admissible scenarios from a space.
 
-A space does not know whether the arm reaches a start and sees the object from there.  So only this module
-rejects draws.
+If a draw is refused, the next draw replaces it. The functions count both kinds of draws.  A space does not
+know whether the arm can reach a start, or whether the camera sees the object from that start.  Therefore this
+module is the only place that rejects draws.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ def draw_admissible(
 ) -> AdmittedDraws:
     """Return the first ``count`` admissible draws of a stream, without executing user code.
 
-    The scenarios have the space's distribution, conditioned on admission.
+    The scenarios follow the space's distribution, restricted to admissible scenarios.
 
     Args:
         space: The space.
@@ -60,8 +61,8 @@ def draw_admissible(
         on_draw: A function that is called after each draw with the number of draws so far.
 
     Raises:
-        InadmissibleError: After MAX_REJECTION_RATIO * (count + 1) draws, too few were admissible.  The hint
-            states the most frequent reason.
+        InadmissibleError: Too few draws were admissible.  The limit is MAX_REJECTION_RATIO draws for the next
+            admissible draw and for each earlier one.  The hint states the most frequent reason.
         ValueError: ``count`` is below 1.
 
     """
@@ -70,7 +71,7 @@ def draw_admissible(
         raise ValueError(f"expected a count of at least 1; got {count}")
     refused: Counter[str] = Counter()
     scenarios: list[Scenario] = []
-    checker = Checker()
+    checker = Checker()  # which executes no user code
     drawn = 0
     last: InputError | None = None
     while len(scenarios) < count:
@@ -101,10 +102,10 @@ def _hopeless(space: ScenarioSpace, admitted: int, drawn: int, refused: Counter[
 
 
 def why_refused(error: InputError) -> str:
-    """Return why a draw was refused, as "field: expected ..."; equal problems have equal texts.
+    """Return the reason of a refusal as "field: expected ...".
 
-    The function raises ``error`` itself if the text of the space causes it, by a missing avoider or an
-    unknown claim.
+    Equal problems have equal texts. The function raises ``error`` itself if every draw of the space would
+    fail for the same reason, such as a missing avoider or an unknown claim.
     """
     field = error.place.field or ""
     if isinstance(error, ModelError) or field.startswith(("avoider", "claims", "--avoider", "--against")):

@@ -1,6 +1,7 @@
-"""Scenarios that cannot run with an avoider from the command line: the command skips them.
+"""Skip scenarios that cannot run with an avoider from the command line.
 
-A network may have been trained for another workspace, or a measured profile may belong to another avoider.
+For example, the network was trained for another workspace, or the measured profile belongs to another
+avoider.
 """
 
 from __future__ import annotations
@@ -39,15 +40,16 @@ def accept(
 ) -> list[_Checked] | Incompatible:
     """Return the results of checking a scenario with each of several avoiders.
 
-    If the scenario cannot run with one of them, the result is an ``Incompatible``.
+    If an avoider cannot run the scenario, the function returns an ``Incompatible`` instead.
 
     Args:
         scenario: The scenario.
-        avoiders: References (None: its own), each with its option.
-        inspect: Checks a scenario and returns a result.
+        avoiders: Pairs of an avoider's reference and the option that states it.  The reference None means the
+            scenario's own avoider.
+        inspect: A function that checks a scenario and returns the result.
 
     Raises:
-        InputError: The scenario fails with any avoider, or with its own.
+        InputError: The scenario cannot run with its own avoider, or cannot run with any avoider.
 
     """
     results, tested = [], None
@@ -61,6 +63,7 @@ def accept(
         except InputError as error:
             if reference is None:
                 raise
+            # Raises if the scenario cannot run with its own avoider either.
             check(scenario)
             return Incompatible(scenario.name, told_avoider(reference), error)
         tested = made
@@ -68,9 +71,10 @@ def accept(
 
 
 def made_equal(scenarios: Sequence[Scenario], reference: str | None, option: str) -> dict[str, Incompatible]:
-    """Return, by name, the rows of a matrix that become equal when ``reference`` replaces their avoiders.
+    """Return the rows of a matrix that differ only in the avoider that ``reference`` replaces.
 
-    The result of such a row would have a misleading name.
+    The keys are the names of the rows.  The name of such a row would be misleading, because it states the
+    replaced avoider.
     """
     rows: dict[tuple[Path | None, str], list[Scenario]] = {}
     if reference is None:
@@ -94,7 +98,10 @@ def made_equal(scenarios: Sequence[Scenario], reference: str | None, option: str
 
 
 def not_taken_words(skipped: Sequence[Incompatible]) -> str:
-    """Return, in words, how many scenarios each avoider cannot run; empty if it can run all."""
+    """Return a text with the number of scenarios that each avoider cannot run.
+
+    The text is empty if the avoiders can run all scenarios.
+    """
     names = dict.fromkeys(case.avoider for case in skipped)
     return ", ".join(
         f"{sum(case.avoider == name for case in skipped)} unsuitable for {name}" for name in names

@@ -1,6 +1,6 @@
-"""Trials: runs of admitted scenarios in a world, and the judgement of their traces.
+"""Run admitted scenarios in a world, and judge their traces.
 
-A single run may use any controller.  Many runs at once use the controllers of their scenarios.
+``run_trial`` can run any controller.  ``run_many`` uses the controllers of the scenarios.
 """
 
 from __future__ import annotations
@@ -50,20 +50,20 @@ def run_trial(
 ) -> Trace:
     """Run an admitted scenario in a world, tick by tick, and return its trace.
 
-    The function closes the world at the end, also after an exception.
+    The function always closes the world at the end, even after an exception.
 
     Args:
-        admitted: The scenario, from ``admit``.
+        admitted: The admitted scenario, as ``admit`` returns it.
         world: The world.
-        controller: A controller that replaces the scenario's own.  None: ``admitted`` makes a fresh
+        controller: A controller that replaces the scenario's own.  None means that ``admitted`` makes a new
             controller.
         detector: A hand detector for rendered images that replaces our own.
-        recorded: An earlier trace of the scenario; the new run repeats its decision times that the wall clock
-            measured.
+        recorded: An earlier trace of the scenario.  If the wall clock measured its decision times, the new
+            run repeats these times.
         on_tick: A function that is called after each tick with the number of finished ticks.
 
     Raises:
-        NoAnswerError: The avoider hangs.
+        NoAnswerError: The avoider did not answer in time.
         InadmissibleError: The scenario needs rendered images, and the world renders none.
         InstallationError: The engine of the world is missing.
 
@@ -87,15 +87,15 @@ def run_kinematic(
     """Run an admitted scenario in the kinematic world and return its trace.
 
     Args:
-        admitted: The scenario, from ``admit``.
-        controller: A controller that replaces the scenario's own.  None: ``admitted`` makes a fresh
+        admitted: The admitted scenario, as ``admit`` returns it.
+        controller: A controller that replaces the scenario's own.  None means that ``admitted`` makes a new
             controller.
-        recorded: An earlier trace of the scenario; the new run repeats its decision times that the wall clock
-            measured.
+        recorded: An earlier trace of the scenario.  If the wall clock measured its decision times, the new
+            run repeats these times.
         on_tick: A function that is called after each tick with the number of finished ticks.
 
     Raises:
-        NoAnswerError: The avoider hangs.
+        NoAnswerError: The avoider did not answer in time.
         InadmissibleError: The scenario needs rendered images.
 
     """
@@ -105,20 +105,23 @@ def run_kinematic(
 def run_many(
     scenarios: Iterable[Admitted], *, world: WorldEntry = KINEMATIC, ticks_at_once: int = TICKS_AT_ONCE
 ) -> Iterator[Trace]:
-    """Yield the trace of every scenario, in order; each equals the trace that ``run_trial`` returns.
+    """Yield the trace of every scenario in order.
 
-    Episodes run in chunks, so that memory stays bounded if the caller drops the traces.  Within a chunk, all
-    episodes run until each needs its next decision.  An avoider with ``propose_many`` then answers all
-    questions in one call; any other avoider answers them one by one.
+    Each trace equals the result of ``run_trial``.  The episodes run in chunks, so that memory stays bounded
+    if the caller drops the traces.  Within a chunk, every episode runs until it needs its next decision.  If
+    the avoider has ``propose_many``, it then answers the questions of all episodes in one call, otherwise one
+    by one.
 
     Args:
         scenarios: Admitted scenarios.
-        world: A world that runs many episodes at once.
-        ticks_at_once: The largest number of ticks in a chunk; a longer episode forms a chunk by itself.
+        world: A world that can run many episodes at once.
+        ticks_at_once: The largest total number of ticks in a chunk.  An episode with more ticks forms its own
+            chunk.
 
     Raises:
-        NoAnswerError: An avoider hangs.
-        InadmissibleError: A scenario uses the wall clock; run it with ``run_trial``.
+        NoAnswerError: An avoider did not answer in time.
+        InadmissibleError: A scenario charges wall-clock time for decisions, and therefore needs
+            ``run_trial``.
 
     """
     for run in _runs(scenarios, world, ticks_at_once):
@@ -128,11 +131,13 @@ def run_many(
 
 
 def run_all(admitted: Sequence[Admitted], world: WorldEntry) -> Iterator[Trace | Exception]:
-    """Yield a trace for each scenario in order, or the exception of a run that could not continue.
+    """Yield a trace for each scenario in order, or the exception with which the run ended.
 
-    If the world runs many episodes at once, all run together.  If that fails, they run one by one.  A missing
-    world raises InstallationError, since no single run has failed.
+    If the world can run many episodes at once, the function first tries to run all scenarios together.  If
+    this attempt fails, the scenarios run one by one.  If the engine of the world is missing, the function
+    raises InstallationError, because this is no failure of a single run.
     """
+    # A list, because no trace may be yielded before all runs have succeeded.
     if world.batch and len(admitted) > 1:
         try:
             yield from list(_runs(admitted, world, TICKS_AT_ONCE))
@@ -146,9 +151,10 @@ def run_all(admitted: Sequence[Admitted], world: WorldEntry) -> Iterator[Trace |
 def _runs(
     scenarios: Iterable[Admitted], world: WorldEntry, ticks_at_once: int
 ) -> Iterator[Trace | Exception]:
-    """Yield the runs, in chunks of scenarios that can run together.
+    """Simulate the scenarios in chunks that can run together, and yield the runs.
 
-    If a user's controller raises in an episode, the function yields that exception in place of the trace.
+    If a user's controller raises an exception in an episode, the function yields the exception in place of
+    the trace.
     """
     chunk: list[Admitted] = []
     ticks, chunk_driver = 0, None
@@ -175,7 +181,7 @@ def _runs(
 
 
 def _attempt(admitted: Admitted, world: WorldEntry) -> Trace | Exception:
-    """Return the trace of one run, or its exception."""
+    """Return the trace of one run, or the exception with which the run ended."""
     try:
         together = world.batch and admitted.driver is None and not admitted.scenario.has_parts_beside
         return next(run_many([admitted], world=world)) if together else run_trial(admitted, world=world)
@@ -186,7 +192,10 @@ def _attempt(admitted: Admitted, world: WorldEntry) -> Trace | Exception:
 
 
 def slower_because(avoider: Avoider) -> str:
-    """Return why ``run_many`` cannot put all decisions to ``avoider`` at once; empty if it can."""
+    """Return why ``run_many`` cannot send all questions to ``avoider`` in one call.
+
+    The text is empty if it can.
+    """
     if avoider.takes_many if isinstance(avoider, OutOfProcessAvoider) else takes_many(avoider):
         return ""
     return f"{avoider.name} gets one question after another: it has no propose_many"
@@ -199,10 +208,10 @@ def judge(trace: Trace, *, file: Path | None = None) -> Evaluations:
 
     Args:
         trace: The trace.
-        file: The file of the trace, which errors name.
+        file: The file of the trace, for error messages.
 
     Returns:
-        An evaluation for each claim, in order.
+        The evaluation of each claim, in the order of the claims.
 
     Raises:
         TraceError: The trace contradicts itself, so no run can have written it.
@@ -215,7 +224,7 @@ def judge(trace: Trace, *, file: Path | None = None) -> Evaluations:
 
 
 def _run_chunk(chunk: list[Admitted], world: WorldEntry) -> Iterator[Trace | Exception]:
-    """Yield the runs of a chunk, simulated together."""
+    """Simulate the scenarios of a chunk together, and yield their runs."""
     if chunk and chunk[0].driver is not None:
         yield from _drive_chunk(chunk)
         return
@@ -235,9 +244,10 @@ def _run_chunk(chunk: list[Admitted], world: WorldEntry) -> Iterator[Trace | Exc
 
 
 def _drive_chunk(chunk: list[Admitted]) -> Iterator[Trace | Exception]:
-    """Yield the runs of a user's controller, which drives each episode in a lane of its own.
+    """Yield the runs of a user's controller.
 
-    If the lanes fail together, the episodes run one by one, so that only the failing episode is lost.
+    Each episode has its own lane, that is, its own controller object.  If the common simulation fails, the
+    episodes run one by one, so that only the failing episode is lost.
     """
     driver = chunk[0].driver
     assert driver is not None
@@ -261,7 +271,7 @@ def _drive_chunk(chunk: list[Admitted]) -> Iterator[Trace | Exception]:
 
 
 def _of_avoider(trace: Trace, admitted: Admitted) -> Trace:
-    """Return the trace with the hashes of the files of the user's parts."""
+    """Return the trace with the file hashes of the user's parts added."""
     sha256 = admitted.avoider_sha256 if admitted.driver is None else admitted.driver.sha256
     parts = {"safety_filter": admitted.safety_filter, "predictor": admitted.predictor}
     hashes = {name: part.sha256 for name, part in parts.items() if part is not None}

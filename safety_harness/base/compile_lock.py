@@ -1,8 +1,8 @@
-"""Locks so that two processes do not compile the same function at the same time.
+"""Locks that prevent two processes from compiling the same function at the same time.
 
-A process waits while another one compiles a function with the same types, and then reads its machine code.
-The order of locks follows the calls between functions, which contain no cycle, so no two processes wait for
-each other.  A wait has an end, because the other process may be suspended.
+If another process already compiles a function with the same argument types, a process waits and then loads
+the machine code.  A process takes the locks in the order of the calls between functions.  This order has no
+cycle, so a deadlock is impossible.  The waiting time is limited, because the other process may be suspended.
 """
 
 from __future__ import annotations
@@ -14,22 +14,26 @@ from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
 
+# A choice: after a minute, a process compiles the function itself and does not wait for a suspended process.
+# Between two attempts it sleeps for 20 ms, which is little beside a compilation of seconds.
 LONGEST_WAIT_S, EVERY_S = 60.0, 0.02
 
 _held: dict[Path, int] = {}  # the descriptors of this process, by lock file
 
 
 def lock_file(folder: str, function: str, types: object) -> Path:
-    """Return the path of the lock for a ``function`` with some argument ``types`` in a cache folder."""
+    """Return the path of the lock file for a function with the given argument types, in the cache folder."""
     return Path(folder) / f"{function}-{sha256(str(types).encode()).hexdigest()[:16]}.lock"
 
 
 def hold(file: Path, *, wait: bool = True) -> bool:
-    """Take the lock, and return whether this process has it; a folder that cannot be written has none.
+    """Try to acquire the lock, and return whether this process now has it.
+
+    If the folder is not writable, there is no lock and the result is False.
 
     Args:
         file: The lock.
-        wait: Whether to wait, for at most ``LONGEST_WAIT_S``, until no other process holds it.
+        wait: Whether to wait for at most ``LONGEST_WAIT_S`` if another process has the lock.
 
     """
     until_s = time.monotonic() + (LONGEST_WAIT_S if wait else 0.0)
@@ -48,7 +52,10 @@ def hold(file: Path, *, wait: bool = True) -> bool:
 
 
 def _lock(descriptor: int, until_s: float) -> None:
-    """Lock an open file; raise OSError if another process holds it until ``until_s`` of the clock."""
+    """Lock an open file.
+
+    Raise OSError if another process still has the lock when the monotonic clock reaches ``until_s``.
+    """
     while True:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -60,7 +67,7 @@ def _lock(descriptor: int, until_s: float) -> None:
 
 
 def _is_file(descriptor: int, file: Path) -> bool:
-    """Return whether ``file`` exists and is the one that is open."""
+    """Return whether ``descriptor`` still refers to the file that exists at the path ``file``."""
     try:
         return os.path.samestat(os.fstat(descriptor), file.stat())
     except FileNotFoundError:
@@ -68,7 +75,7 @@ def _is_file(descriptor: int, file: Path) -> bool:
 
 
 def release(file: Path) -> None:
-    """Release the lock, if this process holds it, and remove its file."""
+    """If this process has the lock, release it and remove its file."""
     descriptor = _held.pop(file, None)
     if descriptor is not None:
         with suppress(OSError):

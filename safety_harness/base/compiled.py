@@ -1,16 +1,17 @@
-"""Compilation of functions with numba, with a cache and with strict IEEE floats.
+"""Compile functions with numba, with strict IEEE floats and a cache on disk.
 
-All functions that the package compiles are compiled here.  Numba's own file cache compares the file that
-*defines* a function, but not the files whose functions it calls.  After an edit in ``geometry``, an old
-``controller`` would remain in use, and evidence from it would be wrong.
+Every compiled function of the package is compiled by this module.  Numba's own file cache compares the file
+that *defines* a function, but not the files whose functions it calls.  After an edit in ``geometry``, the old
+machine code of ``controller`` would remain in use and produce wrong evidence.
 
-So the machine code of a file lies in a folder whose name is a hash.  The hash covers that file and every file
-of the package that it imports (directly or not).  It also covers the versions of Python and numba, and
-numpy's major version, within which the layout of arrays and the rules of types stay.  A change in any of
-these causes a new compilation; a change of another file does not.
+Therefore this module stores the machine code of a file in a folder whose name is a hash.  The hash covers
+that file and every file of the package that it imports, whether directly or indirectly.  The hash also covers
+the versions of Python and numba, and the major version of numpy.  The array layout and the type rules depend
+on these versions.  A change in any of these causes a new compilation.  A change in any other file has no
+effect.
 
-Numba looks for a function in the user's cache, then in the folder that a wheel contains (``machine_code``).
-It compiles the function if neither contains it.
+Numba first searches the user's cache, and then the folder that a wheel contains (``machine_code``).  If both
+lack the code, numba compiles the function.
 """
 
 from __future__ import annotations
@@ -59,7 +60,11 @@ _IMPORT = re.compile(r"^\s*from (\w+)\.([\w.]+) import ", re.MULTILINE)
 
 @cache
 def _package_of(file: Path) -> Path:
-    """Return the package of a file: this package, else the file's outermost package, else its folder."""
+    """Return the folder of the package to which a file belongs.
+
+    If the file is outside this package, return the folder of the outermost package that contains the file.
+    If no package contains the file, return the file's own folder.
+    """
     if PACKAGE in file.parents:
         return PACKAGE
     packages = [folder for folder in file.parents if (folder / "__init__.py").is_file()]
@@ -84,7 +89,10 @@ def _content(file: Path) -> bytes:
 
 
 def _hash(files: Iterable[Path]) -> str:
-    """Return a hash (16 hex digits) of numba's version, numpy's major one, and files' names and contents."""
+    """Return a hash of the versions of numba and numpy and of the given files, as 16 hex digits.
+
+    The hash covers the names and contents of the files, and the major version of numpy.
+    """
     digest = hashlib.sha256(f"numba {numba.__version__} numpy {np.__version__.split('.')[0]}".encode())
     for path in sorted(files):
         digest.update(_name(path))
@@ -93,7 +101,7 @@ def _hash(files: Iterable[Path]) -> str:
 
 
 def _package_sources() -> Iterator[Path]:
-    """Yield every Python file of the package, without the examples that a wheel packs below ``shipped``."""
+    """Yield every Python file of the package, except the examples that a wheel contains below ``shipped``."""
     return (path for path in PACKAGE.rglob("*.py") if PACKAGE / "base" / "shipped" not in path.parent.parents)
 
 
@@ -105,7 +113,10 @@ def source_hash() -> str:
 
 @cache
 def _imports(file: Path) -> tuple[Path, ...]:
-    """Return the files that a file imports directly, from this package or from its own."""
+    """Return the files that a file imports directly.
+
+    Only files of this package and of the file's own package are included.
+    """
     packages = {package.name: package for package in (_package_of(file), PACKAGE)}
     imported = _IMPORT.findall(_content(file).decode())
     return tuple(
@@ -116,12 +127,13 @@ def _imports(file: Path) -> tuple[Path, ...]:
 def sources_of(file: Path, *, without: frozenset[Path] = frozenset()) -> frozenset[Path]:
     """Return a file and every file that it imports, directly or not.
 
-    The result is limited to files of this package and of the file's own package.  If the file is in no
-    package, as a benchmark is, it may import any module.  Then the result is every file of this package.
+    The result only includes files of this package and of the package to which the file belongs.  If the file
+    is in no package, such as a benchmark, it may import any module.  In that case the result is every file of
+    this package.
 
     Args:
-        file: The file to begin with.
-        without: Files to leave out, with the imports that only they lead to.
+        file: The file at which the search for imports begins.
+        without: Files to omit.  If a file is imported only by omitted files, it is omitted as well.
 
     """
     if _in_no_package(file):
@@ -152,7 +164,10 @@ def cache_root() -> Path:
 
 @cache
 def cache_problem(root: Path) -> str:
-    """Create the folder ``root``, and return why it cannot keep machine code; empty if it can."""
+    """Create the folder ``root``, and return the reason why the folder cannot store machine code.
+
+    If the folder can store machine code, the reason is an empty text.
+    """
     try:
         root.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=root).close()
@@ -162,7 +177,7 @@ def cache_problem(root: Path) -> str:
 
 
 def _cannot_keep(root: Path, error: OSError) -> str:
-    """Return the warning for a folder that cannot keep machine code."""
+    """Return the text of the warning that machine code cannot be written to a folder."""
     return (
         f"cannot write machine code to {root} ({error.strerror or error}), so every process compiles missing "
         "code again, which takes minutes; set SAFETY_HARNESS_CACHE to another folder"
@@ -171,9 +186,9 @@ def _cannot_keep(root: Path, error: OSError) -> str:
 
 @cache
 def cache_folder(file: Path) -> Path:
-    """Return the folder for the machine code of ``file``, and mark it as used now.
+    """Return the folder for the machine code of ``file``, and set the folder's time of last use to now.
 
-    If the folder is absent or read-only, it stays unmarked.
+    If the folder is absent or read-only, its time of last use stays unchanged.
     """
     folder = cache_root() / f"{_hash(sources_of(file))}-{sys.implementation.cache_tag}"
     with suppress(OSError):
@@ -182,19 +197,25 @@ def cache_folder(file: Path) -> Path:
 
 
 def installed_folder(file: Path) -> Path:
-    """Return the folder that a wheel contains for the machine code of ``file``; it may be absent."""
+    """Return the folder of a wheel that may contain the machine code of ``file``.
+
+    The folder may be absent.
+    """
     return PACKAGE / FOLDER / cache_folder(file).name
 
 
 def code_in_use() -> str:
-    """Return, in words, where the control stack's machine code comes from; it never changes a result."""
+    """Return a text that states where the control stack's machine code was compiled.
+
+    The place of compilation never changes a result.
+    """
     stack = PACKAGE / "cell" / "controller" / "stack.py"
     compiled_here = any(cache_folder(stack).rglob("*.nbc")) or not installed_folder(stack).is_dir()
     return "machine code compiled here" if compiled_here else "machine code as installed, for any x86-64"
 
 
 def forget_old_machine_code(days: float = 30.0) -> int:
-    """Remove machine code that no process has used for ``days``; return the number of removed folders."""
+    """Remove machine code that no process has used for ``days``, and return the number of removed folders."""
     oldest = time.time() - days * 86400.0
     old = [folder for folder in machine_code() if folder.stat().st_mtime < oldest]
     for folder in old:
@@ -208,32 +229,37 @@ def machine_code() -> list[Path]:
 
 
 def compiled(function: F) -> F:
-    """Return ``function`` compiled at its first call, with its machine code kept for later processes.
+    """Return ``function`` as a compiled function.
 
-    Results must repeat bit for bit, so ``fastmath`` is off.  A division raises no exception: as in numpy, 0/0
-    is NaN.  So every caller that makes a decision must check for NaN.
+    The function is compiled at its first call, and the machine code is stored for later processes.
+    ``fastmath`` is off, because results must be equal bit for bit.  A division by zero raises no exception,
+    and 0/0 is NaN as in numpy.  Therefore every caller that makes a decision must check for NaN.
     """
     return _compiled(function, _nrt=True)  # explicit, since numba would copy it from the first caller
 
 
 def njit_no_nrt(function: F) -> F:
-    """Return a compiled function that makes no array and counts no references; otherwise as ``compiled``.
+    """Compile a function that creates no array, and compile it without reference counting.
 
-    In small functions, counting references to views of arrays would take longer than the work itself.
+    In all other respects, this decorator works like ``compiled``.  In small functions, counting references to
+    views of arrays would take longer than the work itself.
     """
     return _compiled(function, _nrt=False)
 
 
 def inlined(function: F) -> F:
-    """Return a small function compiled into the machine code of its callers; otherwise as ``njit_no_nrt``."""
+    """Compile a small function into the machine code of its callers.
+
+    In all other respects, this decorator works like ``njit_no_nrt``.
+    """
     return _compiled(function, _nrt=False, forceinline=True)
 
 
 def arithmetic(function: F) -> F:
-    """Return a function that is compiled into compiled callers, but that Python runs as Python code.
+    """Compile a function for use in other compiled functions, and let Python run it as Python code.
 
-    Python may call it with floats or arrays.  It must consist of operations whose bits IEEE 754 fixes, so
-    that both ways return the same bits.
+    Python may call it with floats or with arrays.  The function must only use operations for which IEEE 754
+    fixes every bit of the result.  Then the compiled code and the Python code return the same bits.
     """
     made: Any = njit(error_model="numpy", _nrt=False)(function)
     made.__class__ = _Arithmetic
@@ -241,14 +267,17 @@ def arithmetic(function: F) -> F:
 
 
 class _Arithmetic(CPUDispatcher):
-    """A compiled function that Python always runs as Python."""
+    """A function that is compiled only for its compiled callers.  Python runs it as Python code."""
 
     def __call__(self, *args: Any) -> Any:
         return self.py_func(*args)
 
 
 def _compiled(function: F, **options: bool) -> F:
-    """Return ``function`` compiled, with its machine code in the ``cache_folder`` of its file."""
+    """Return ``function`` as a compiled function.
+
+    Its machine code is cached in the folder that ``cache_folder`` returns for its file.
+    """
     previous = numba_config.CACHE_DIR
     numba_config.CACHE_DIR = str(cache_folder(Path(function.__code__.co_filename)))
     try:
@@ -263,15 +292,25 @@ def _compiled(function: F, **options: bool) -> F:
 
 
 class CompiledFunction(CPUDispatcher):
-    """A compiled function, with one version for all integers and one for all shapes of an array."""
+    """A compiled function for which numba compiles fewer versions than usual.
+
+    A version is the machine code for certain argument types.  One version serves all values of an integer
+    constant.  One version also serves all shapes of an array in a record.
+    """
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
-        """Return numba's description of a call by another compiled function."""
+        """Return numba's description of a call from another compiled function.
+
+        The argument types in it are generalised.
+        """
         kws = {name: _general(kind) for name, kind in kws.items()}
         return super().get_call_template(tuple(map(_general, args)), kws)
 
     def compile(self, sig: Any) -> Any:
-        """Load or compile the version for a signature, and let other processes have it."""
+        """Load or compile the version for a signature.
+
+        Afterwards, release the lock, so that other processes can load that version.
+        """
         try:
             with _without_waste():
                 return super().compile(sig)
@@ -283,14 +322,16 @@ class CompiledFunction(CPUDispatcher):
 
 @contextmanager
 def _without_waste() -> Iterator[None]:
-    """Compile without what costs 16 % of the time for nothing, and without other threads that compile.
+    """Compile without garbage collection, without numba's first optimisation, and in one thread at a time.
 
-    The compiler leaves little to collect, and much to search through.  And numba optimises each function
-    before it links the functions of a library and optimises them again.
+    Garbage collection and the first optimisation would take 16 % of the time and have no use.  Garbage
+    collection would search many objects and free few of them.  Numba would optimise each function both before
+    and after it links the functions of a library.
     """
     with global_compiler_lock:
         collecting, first_passes = gc.isenabled(), _library._optimize_functions
         gc.disable()
+        # The lock above keeps other threads from compiling meanwhile with the replaced function.
         _library._optimize_functions = _lay_out
         try:
             yield
@@ -301,12 +342,18 @@ def _without_waste() -> Iterator[None]:
 
 
 def _lay_out(library: Any, module: Any) -> None:
-    """Set the data layout of a module, which numba's first passes set too."""
+    """Set the data layout of a module.
+
+    The first optimisation of numba, which this module skips, would otherwise set the layout.
+    """
     module.data_layout = library._codegen._data_layout
 
 
 def _general(kind: Any) -> Any:
-    """Return the type of an argument without the value of a constant or the shape of a record's array."""
+    """Return a more general type of an argument.
+
+    The result omits the value of a constant, and the shape of an array in a record.
+    """
     if isinstance(kind, numba_types.NestedArray):
         return numba_types.Array(kind.dtype, kind.ndim, "C")
     return numba_types.unliteral(kind)
@@ -314,7 +361,10 @@ def _general(kind: Any) -> Any:
 
 @lower_cast(numba_types.NestedArray, numba_types.Array)  # type: ignore[untyped-decorator, no-untyped-call]
 def _without_shape(context: Any, builder: Any, fromty: Any, toty: Any, value: Any) -> Any:
-    """Return an array of a record as an array of any shape; numba stores both alike."""
+    """Convert an array in a record to an array of any shape.
+
+    The value stays unchanged, because numba stores arrays of both types in the same way.
+    """
     return value
 
 
@@ -323,11 +373,12 @@ _kind: Any = CompiledFunction  # their class, which ``call_as`` changes for a wh
 
 
 class _Locator(_cache_impl._locator_classes[0]):  # type: ignore[misc]
-    """The locator that makes numba use this package's cache folder, even a read-only one.
+    """The locator that makes numba use this package's cache folder, even if the folder is read-only.
 
-    The folder's name covers the content of a package's file.  So a later checkout, a second checkout and an
-    installation of the same sources find the machine code.  A file in no package gets a folder below it,
-    named by its path and time.
+    If a file belongs to a package, the folder's name already depends on the contents of the file.  Therefore
+    a later checkout, a second checkout and an installation of the same sources find the same machine code.
+    If a file is outside every package, the locator uses a subfolder.  The subfolder's name depends on the
+    file's path and time.
     """
 
     @classmethod
@@ -341,21 +392,24 @@ class _Locator(_cache_impl._locator_classes[0]):  # type: ignore[misc]
         return str(self._cache_path if alone else os.path.dirname(self._cache_path))
 
     def get_source_stamp(self) -> Any:
-        """Return a constant if the name of the cache folder covers the file's content, else numba's stamp."""
+        """Return the value by which numba recognises a changed file.
+
+        If the name of the cache folder already depends on the file's content, the value is a constant.
+        """
         return super().get_source_stamp() if _in_no_package(Path(self._py_file)) else STAMP
 
 
 class _CacheImpl(_cache_impl):  # type: ignore[misc]
-    """Numba's storage of machine code, with our locator tried before numba's own."""
+    """Numba's cache implementation, which tries our locator before numba's own locators."""
 
     _locator_classes = (_Locator, *_cache_impl._locator_classes[1:])
 
 
 class _Cache(FunctionCache):
-    """Numba's cache for one function, with the machine code from a wheel as a second source.
+    """Numba's cache for one function, which also finds the machine code in a wheel.
 
-    While another process compiles the same function, this one waits and then loads it.  If the cache folder
-    is read-only or full, each process compiles again.
+    If another process is compiling the same function, this process waits and then loads the machine code.  If
+    the cache folder is read-only or full, each process compiles the function again.
     """
 
     _impl_class = _CacheImpl
@@ -367,10 +421,11 @@ class _Cache(FunctionCache):
         self._locks: dict[Any, Path] = {}  # by signature
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the machine code for a signature from the cache or the wheel; None if it is in neither.
+        """Return the machine code for a signature from the cache or from the wheel, or None.
 
-        If the result is None, this process holds the function's lock until ``ended``.
+        If the result is None, this process has the function's lock until it calls ``ended``.
         """
+        # Most functions exist already, so the first look takes no lock.
         code = self._load(sig, target_context)
         if code is None:
             self._locks[sig] = self._lock(sig)
@@ -399,14 +454,15 @@ class _Cache(FunctionCache):
         return None
 
     def ended(self, sig: Any) -> None:
-        """Let other processes have the function for a signature."""
+        """Release the lock for a signature, so that other processes can load the function."""
         if sig in self._locks:
             release(self._locks.pop(sig))
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Store the machine code for a signature; if that fails, keep the reason for ``compilation``.
+        """Store the machine code for a signature.
 
-        Numba counts the files of a function in one index, so only one process at a time may add to it.
+        If this fails, remember the reason, which ``compilation`` reports.  An index contains a number for
+        each file of a function.  Only one process at a time may add a file to the index.
         """
         index = self._lock("index")
         hold(index)
@@ -420,13 +476,19 @@ class _Cache(FunctionCache):
 
 
 class _Progress(event.Listener):
-    """The listener that calls the ``watchers`` after each compiled function, not after a loaded one."""
+    """The listener that calls the ``watchers`` each time a function has been compiled.
+
+    The listener does not call the watchers when a function is loaded from the cache.
+    """
 
     depth, began_s, seconds, unwritable = 0, 0.0, 0.0, ""
     installed = 0  # functions whose code came with the package
 
     def on_start(self, event: Any) -> None:
-        """Start the clock at an outermost function; before the first one, remove old machine code."""
+        """Start the clock when a compilation begins, unless another compilation is in progress.
+
+        Before the first compilation of this process, remove old machine code.
+        """
         if not self.seconds:
             forget_old_machine_code()  # before this process adds to it
         if not self.depth:
@@ -455,7 +517,7 @@ def compilation() -> Compilation:
 
 
 def call_as(kind: type) -> None:
-    """Change the class of every compiled function, including later ones, to ``kind``."""
+    """Set the class of every compiled function to ``kind``, including functions that are compiled later."""
     global _kind
     _kind = kind
     for function in _functions:

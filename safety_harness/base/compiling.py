@@ -1,4 +1,7 @@
-"""Progress of compilation as a command prints it; this module is light, so it is imported before numba."""
+"""Print the progress of compilation.
+
+This module loads quickly, so it is imported before numba.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +15,13 @@ PATIENCE_S, EVERY_S = 1.0, 10.0  # seconds before the first line, and between tw
 
 @dataclass(frozen=True)
 class Compilation:
-    """The progress of a process that has compiled or loaded ``ready`` functions.
+    """The progress of compilation in one process.
 
     Args:
-        ready: Functions with machine code.
-        seconds: Time spent on compiling.
+        ready: The number of functions with machine code.
+        seconds: The time [s] spent on compiling.
         going_on: Whether the outermost function is still being compiled.
-        unwritable: Why the process cannot keep machine code; empty if it can.
+        unwritable: The reason why the process cannot store machine code, or an empty text if it can.
 
     """
 
@@ -39,10 +42,11 @@ class Compiled:
 
 @dataclass
 class Pace:
-    """The rate of a job since the last compilation in this process, so that estimates leave compilation out.
+    """The rate at which a job finishes items.
 
-    The first finished item only starts the measurement, because some process may have loaded or compiled code
-    for it.
+    Each compilation in this process restarts the measurement, so that estimates do not include the time of
+    compiling.  The first finished item only starts the measurement, because its time may include loading or
+    compiling code in some process.
     """
 
     now_s: Callable[[], float] = time.monotonic
@@ -65,15 +69,16 @@ class Pace:
 
 @dataclass
 class CompilationLine:
-    """A line about a long compilation, printed on ``stream``.
+    """A line about a long compilation, which is printed on ``stream``.
 
-    On a terminal the line is updated, and disappears at the end.  In a file, a new line appears every ten
-    seconds.  While ``finished_part`` is unknown, the line has no percentage.
+    On a terminal the line is updated, and disappears at the end.  If ``stream`` is a file, a new line appears
+    every ten seconds.  While ``finished_part`` is unknown, the line has no percentage.
 
     Args:
-        stream: Where the line is printed.
-        finished_part: A function that returns the functions in the cache and all that a run needs.
-        clock: A clock in seconds.
+        stream: The stream on which the line is printed.
+        finished_part: A function that returns two numbers: the functions already in the cache, and all
+            functions that a run needs.  The result None means that the numbers are unknown.
+        clock: A function that returns a time in seconds.
 
     """
 
@@ -84,7 +89,10 @@ class CompilationLine:
     _warned: bool = field(default=False)
 
     def __call__(self, now: Compilation) -> None:
-        """Print the progress ``now``; this method is one of the ``watchers``."""
+        """Print the progress ``now``.
+
+        This method is registered in ``watchers``.
+        """
         if now.unwritable and not self._warned:
             self._warned = True
             self._write(f"warning: {now.unwritable}\n")
@@ -98,7 +106,7 @@ class CompilationLine:
             self._write(line + "\n")
 
     def _part(self, now: Compilation) -> str:
-        """Return the finished part in words."""
+        """Return a text that states how much of the compilation is finished."""
         part = self.finished_part()
         if part is None:
             return f"functions compiled so far: {now.ready}"

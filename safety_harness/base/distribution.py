@@ -1,8 +1,8 @@
-"""The distribution that installs this package: its name, its version, and conflicts with another project.
+"""The distribution that contains this package: its name, its version, and its conflict with another project.
 
-The import name is ``safety_harness`` and the command is ``safety-harness``.  But the distribution named
-``safety-harness`` is another project.  It also has a folder ``safety_harness``, with which pip overwrites our
-files.
+The import name is ``safety_harness`` and the command is ``safety-harness``.  However, the distribution on
+PyPI with the name ``safety-harness`` belongs to another project.  Installing that project with pip overwrites
+our files, because it also has a folder ``safety_harness``.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def installed_version() -> str:
 
 
 def foreign_files() -> str:
-    """Return a line of advice if the foreign distribution has files in our folder, else an empty text."""
+    """Return a warning if the other project has files in our folder, or an empty text if it has not."""
     try:
         foreign = metadata.distribution(FOREIGN)
     except metadata.PackageNotFoundError:

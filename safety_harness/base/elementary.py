@@ -1,13 +1,14 @@
 """Elementary functions with the same bits on every processor.
 
-A C library chooses its sine by the processor, and numpy does so for its exponential.  So their last bits
-differ between machines.  The functions here only add, subtract, multiply, divide, take square roots, compare
-and scale by powers of two.  IEEE 754 fixes the result of each of these.  No function branches: the result of
-a comparison serves as a factor, 0 or 1.
+The sine of a C library and numpy's exponential have different code for different processors.  Therefore their
+last bits differ between machines.  The functions in this module only add, subtract, multiply, divide, take
+square roots, compare and scale by powers of two.  IEEE 754 fixes the result of each of these.  The functions
+do not branch.  The result of a comparison is instead used as a factor, 0 or 1.
 
-In compiled code, the functions are compiled into their callers.  Python runs them as Python, on a float or an
-array.  The polynomials are those of fdlibm (Sun Microsystems, 1993).  Sine and cosine err by at most 1 unit
-in the last place, the others by at most 2 (``tests/base/test_elementary.py``).  Arguments are finite.
+A compiled function that calls one of these functions contains the compiled code of the called function.
+Python runs these functions as Python code, with a float or an array as the argument.  The polynomials come
+from fdlibm (Sun Microsystems, 1993).  The error is at most 1 unit in the last place for sine and cosine, and
+at most 2 units for the other functions (``tests/base/test_elementary.py``).  Arguments are finite.
 """
 
 from __future__ import annotations
@@ -32,13 +33,15 @@ LARGEST_ANGLE_RAD = 2.0**20  # sine and cosine of this and more are NaN
 _TO_INFINITY = 2.0**1004  # times this factor, a smaller angle stays finite
 # pi/4 in two parts.  The first has 50 bits, so four times this part is exact.
 _QUARTER_PI, _QUARTER_PI_REST = 7.85398163397448278999e-01, 3.06161699786838301793e-17
+# atan(1/2) as the nearest float and the rounding error of that float.
 _ATAN_HALF, _ATAN_HALF_REST = 4.63647609000806093515e-01, 2.26987774529616870924e-17
+# _LN2 has 32 bits, so its product with the exponent of any float64 is exact; _LN2_REST is the rest.
 _LOG2_E, _LN2, _LN2_REST = 1.44269504088896338700, 6.93147180369123816490e-01, 1.90821492927058770002e-10
 
 
 @arithmetic
 def sin_cos(angle_rad: Number) -> tuple[Number, Number]:
-    """Return the sine and cosine of an angle smaller than ``LARGEST_ANGLE_RAD``; NaN for any other angle."""
+    """Return the sine and cosine of an angle below ``LARGEST_ANGLE_RAD``, or NaN for a larger angle."""
     x = angle_rad
     n = (x * _TURNS + _ROUND) - _ROUND
     # x - n pi/2 = r + rest, by differences whose rounding errors are kept
@@ -49,6 +52,7 @@ def sin_cos(angle_rad: Number) -> tuple[Number, Number]:
     r = middle - third
     back = r - middle
     rest += ((middle - (r - back)) - (third + back)) - n * _HALF_PI_4
+    # fdlibm's polynomials on [-pi/4, pi/4]. The rest of the reduced angle enters to first order.
     z = r * r
     p = -2.50507602534068634195e-08 + z * 1.58969099521155010221e-10
     p = 8.33333333332248946124e-03 + z * (
@@ -60,6 +64,7 @@ def sin_cos(angle_rad: Number) -> tuple[Number, Number]:
     q = z * (4.16666666666666019037e-02 + z * (-1.38888888888741095749e-03 + z * q))
     half, w = 0.5 * z, 1.0 - 0.5 * z
     c = w + (((1.0 - w) - half) + (z * q - r * rest))
+    # n counts quarter turns. An odd n swaps sine and cosine, and n mod 4 gives the sign.
     odd = abs(n - 2.0 * ((0.5 * n + _ROUND) - _ROUND))
     fourth = n - 4.0 * (((0.25 * n - 0.375) + _ROUND) - _ROUND)  # 0 to 3
     sign = 1.0 - 2.0 * (fourth > 1.5)
@@ -70,35 +75,43 @@ def sin_cos(angle_rad: Number) -> tuple[Number, Number]:
 
 @arithmetic
 def sin(angle_rad: Number) -> Number:
-    """Return the sine of an angle, computed as by ``sin_cos``."""
+    """Return the sine of an angle, which ``sin_cos`` computes."""
     return sin_cos(angle_rad)[0]
 
 
 @arithmetic
 def cos(angle_rad: Number) -> Number:
-    """Return the cosine of an angle, computed as by ``sin_cos``."""
+    """Return the cosine of an angle, which ``sin_cos`` computes."""
     return sin_cos(angle_rad)[1]
 
 
 @arithmetic
 def arctan2(y: Number, x: Number) -> Number:
-    """Return the angle [rad] of (x, y), -pi to pi; 0 at the origin, and a negative zero is read as 0."""
+    """Return the polar angle [rad] of the point (x, y), from -pi to pi.
+
+    At the origin, the angle is 0.  A negative zero has the same effect as 0.
+    """
     across, along = abs(y), abs(x)
+    # Divide the smaller by the larger coordinate, so that the quotient is at most 1 and cannot overflow.
     steep = 1.0 * (across > along)
     most, least = steep * across + (1.0 - steep) * along, steep * along + (1.0 - steep) * across
     # atan(t) = atan(1/2) + atan((2 t - 1) / (2 + t)) for t about 1/2, pi/4 + atan((t - 1) / (1 + t)) above
     wide = 1.0 * (16.0 * least > 11.0 * most)
     middle = (16.0 * least > 7.0 * most) - wide
     twice, once = 1.0 + middle, middle + wide
+    # The last term makes the denominator 1 at the origin, where the angle must be 0 and not NaN.
     u = (twice * least - once * most) / (twice * most + once * least + (most == 0.0))
     z = u * u
     w = z * z
+    # fdlibm's polynomial of degree 11 in z, split into odd and even powers.
     odd = -7.69187620504482999495e-02 + w * (-5.83357013379057348645e-02 + w * -3.65315727442169155270e-02)
     odd = w * (-1.99999999998764832476e-01 + w * (-1.11111104054623557880e-01 + w * odd))
     even = 6.66107313738753120669e-02 + w * (4.97687799461593236017e-02 + w * 1.62858201153657823623e-02)
     even = 1.42857142725034663711e-01 + w * (9.09088713343650656196e-02 + w * even)
     even = z * (3.33333333333329318027e-01 + w * even)
     angle = middle * _ATAN_HALF + (middle * _ATAN_HALF_REST + (u - u * (odd + even)))
+    # Reflect the angle into its octant. The multiples of pi/4 are added last, with their rest, so that they
+    # cost no digits.
     behind = 1.0 * (x < 0.0)
     quarters = wide + steep * (2.0 - 2.0 * wide)
     quarters += behind * (4.0 - 2.0 * quarters)
@@ -114,13 +127,17 @@ def arccos(cosine: Number) -> Number:
 
 @arithmetic
 def hypot(x: Number, y: Number) -> Number:
-    """Return the length of (x, y) with components of at most 1e150; those below 1e-150 become 0."""
+    """Return the length of (x, y), whose components must not exceed 1e150.
+
+    Components below 1e-150 count as 0.
+    """
     return np.sqrt(x * x + y * y)
 
 
 def _grown(x: Number) -> tuple[Number, Number]:
-    """Return n and g of exp(x) = 2^n (1 + g), with -0.3 < g < 0.42."""
+    """Return the integer n and the number g in exp(x) = 2^n (1 + g), with -0.3 < g < 0.42."""
     n = (x * _LOG2_E + _ROUND) - _ROUND
+    # x = n ln 2 + r. High and low part stay separate, because their difference r is already rounded.
     high, low = x - n * _LN2, n * _LN2_REST
     r = high - low
     z = r * r
@@ -132,20 +149,26 @@ def _grown(x: Number) -> tuple[Number, Number]:
 def exp(x: Number) -> Number:
     """Return e^x, which is 0 for x below -746 and infinity for x above 710."""
     with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+        # Beyond these limits the result is 0 or infinity anyway, and n stays a valid exponent.
         n, grown = _grown(np.clip(x, -800.0, 800.0))
         return np.ldexp(1.0 + grown, np.asarray(n).astype(np.int64))[()]
 
 
 def expm1(x: Number) -> Number:
-    """Return e^x - 1, also accurate for x near 0."""
+    """Return e^x - 1, also accurate for x near 0; for x above 700, return e^700 - 1."""
+    # Below -60 the result is -1 to the last bit; at 700, 2^n is still finite.
     n, grown = _grown(np.clip(x, -60.0, 700.0))
     power = np.ldexp(1.0, np.asarray(n).astype(np.int64))
     return power * grown + (power - 1.0)
 
 
 def log(x: Number) -> Number:
-    """Return the natural logarithm of x: -infinity for 0, NaN for a negative x."""
+    """Return the natural logarithm of x.
+
+    The result is -infinity if x is 0, and NaN if x is negative.
+    """
     m, n = np.frexp(x)
+    # Move m into [sqrt(1/2), sqrt(2)), where the polynomial below applies.
     small = m < 0.70710678118654752440
     m, n = np.where(small, 2.0 * m, m), n - small
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -164,37 +187,47 @@ def log1p(x: Number) -> Number:
     """Return the natural logarithm of 1 + x, also accurate for x near 0."""
     near_one = 1.0 + np.asarray(x, np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
+        # 1 + x is rounded. The second term adds the logarithm of the part that was lost (first order).
         return np.where(near_one == 0.0, -np.inf, log(near_one) + (x - (near_one - 1.0)) / near_one)[()]
 
 
 def power(base: Number, exponent: Number) -> Number:
-    """Return ``base`` above 0 to the power ``exponent``; the error grows with the logarithm of the result."""
+    """Return ``base`` to the power ``exponent``, where ``base`` must be positive.
+
+    The relative error grows with the logarithm of the result.
+    """
     return exp(exponent * log(base))
 
 
 def cbrt(x: Number) -> Number:
     """Return the cube root of x, which must be at least 0."""
     with np.errstate(divide="ignore", invalid="ignore"):
+        # A Newton step removes most of the error that log and exp leave.
         root = exp(log(x) / 3.0)
         return np.where(np.asarray(x) > 0.0, root - (root - x / (root * root)) / 3.0, x)[()]
 
 
 def log_sum_exp(logarithms: Any, axis: int = -1, keepdims: bool = False) -> Any:
-    """Return the logarithm of the sum of the exponentials of ``logarithms`` along an axis."""
+    """Return log(sum(exp(``logarithms``))), where the sum runs along an axis."""
     values = np.asarray(logarithms, np.float64)
     most = values.max(axis=axis, keepdims=True)
+    # If all terms are 0 or one is infinite, subtracting the maximum would give NaN.
     most = np.where(np.isfinite(most), most, 0.0)
     total = log(exp(values - most).sum(axis=axis, keepdims=True)) + most
     return total if keepdims else np.squeeze(total, axis=axis)[()]
 
 
 def product(first: Any, second: Any) -> Any:
-    """Return ``first @ second`` for small arrays, with a fixed order of addition on every processor."""
+    """Return ``first @ second`` for small arrays.
+
+    The order of additions is the same on every processor.
+    """
     first, second = np.asarray(first), np.asarray(second)
     if second.ndim == 1:
         return (first * second).sum(axis=-1)
     if first.ndim == 1:
         return (first[:, None] * second).sum(axis=-2)
+    # BLAS is not used here, because its order of addition depends on the processor.
     return (first[..., None] * second[..., None, :, :]).sum(axis=-2)
 
 

@@ -1,10 +1,12 @@
-"""All exceptions that this package raises on purpose; they form one tree, and each carries its data.
+"""All exceptions that this package raises on purpose.
 
-``SafetyHarnessError`` is the root.  Two branches matter to a caller:
+All exceptions have a common root class, and each exception stores its data as attributes.
+``SafetyHarnessError`` is the root.  Two subclasses matter to a caller:
 
-* ``InputError``: the user can correct the cause.  It states the place (file, line, field), the expectation
-  and the actual input.  The command line prints it without a traceback and ends with exit code 2.
-* ``SimulationError``: the run could not continue.  It is never counted as safe.
+* ``InputError`` means that the user can correct the cause.  The error states the place (file, line, field),
+  the expected input and the actual input.  The command line prints it without a traceback and ends with exit
+  code 2.
+* ``SimulationError`` means that the run could not continue.  Such a run never counts as passed.
 """
 
 from __future__ import annotations
@@ -28,12 +30,15 @@ MOST_WORDS = 1_000  # characters of a user's text
 
 
 def on_one_line(text: str) -> str:
-    """Return a text with "?" for each character that breaks a line or controls a terminal."""
+    """Return a text in which "?" replaces each character that breaks a line or controls a terminal."""
     return text if text.isprintable() else "".join(c if c.isprintable() else "?" for c in text)
 
 
 def printable(text: str) -> str:
-    """Return a user's text on one line, without addresses of objects, cut at ``MOST_WORDS`` characters."""
+    """Return a user's text on one line.
+
+    The text contains no addresses of objects, and at most ``MOST_WORDS`` characters.
+    """
     return on_one_line(re.sub(r"0x[0-9a-fA-F]+", "0x...", " ".join(text[:MOST_WORDS].split())))
 
 
@@ -44,7 +49,8 @@ def described(error: BaseException, file: str | None = None) -> str:
 
     Args:
         error: The exception.
-        file: The user's file as in the traceback; the text states the deepest line in it.  None: no line.
+        file: The path of the user's file as it appears in the traceback.  The text states the innermost line
+            of the traceback in this file.  None means that the text states no line.
 
     """
     try:
@@ -61,9 +67,10 @@ def described(error: BaseException, file: str | None = None) -> str:
 
 @dataclass(frozen=True)
 class Place:
-    """A place in the user's input; unknown parts are ``None``.
+    """A place in the user's input.
 
-    A place with only a field is an option or argument of a command or a function.
+    Unknown parts are None.  If a place has only a field, the field is an option or argument of a command, or
+    an argument of a function.
     """
 
     file: Path | None = None
@@ -82,13 +89,13 @@ class Place:
 class InputError(SafetyHarnessError):
     """The user's input cannot be used without a correction.
 
-    Every text is put on one line, and ``got`` is cut at 1,500 characters.
+    Each text is converted to a single line, and ``got`` is cut after 1,500 characters.
 
     Args:
         place: The place of the input.
         expected: Completes the sentence "expected ...".
         got: Completes the sentence "got ...".
-        hint: One more line of help: a near miss, or the list of allowed values.
+        hint: One more line of help, such as a similar allowed name or the list of all allowed values.
 
     """
 
@@ -102,7 +109,7 @@ class InputError(SafetyHarnessError):
 
     @classmethod
     def of_option(cls, option: str, expected: str, got: str, hint: str = "") -> Self:
-        """Return the error of an option or argument of a command or a function.
+        """Return the error for an option or argument of a command or function.
 
         Args:
             option: The name of the option.
@@ -115,10 +122,10 @@ class InputError(SafetyHarnessError):
 
     @classmethod
     def of_file(cls, file: Path | None, expected: str, got: str, hint: str = "") -> Self:
-        """Return the error of a whole file.
+        """Return an error that refers to a whole file.
 
         Args:
-            file: The file; None: an input without a file.
+            file: The file, or None if the input is no file.
             expected: Completes "expected ...".
             got: Completes "got ...".
             hint: One more line of help.
@@ -127,19 +134,22 @@ class InputError(SafetyHarnessError):
         return cls(place=Place(file=file), expected=expected, got=got, hint=hint)
 
     def __reduce__(self) -> tuple[partial[InputError], tuple[()]]:
-        """Return the parts for pickling, because pickle cannot call a constructor with keywords."""
+        """Return a callable without arguments for pickle, because pickle cannot pass keyword arguments."""
         make = partial(type(self), place=self.place, expected=self.expected, got=self.got, hint=self.hint)
         return make, ()
 
 
 def near_miss(text: str, allowed: Iterable[str], *, most: int = 1, all_of_them: str = "") -> str:
-    """Return ``did you mean "..."?`` with the allowed names that resemble a text; empty if there are none.
+    """Return ``did you mean "..."?`` with the allowed names that are similar to ``text``.
+
+    The result is empty if no name is similar.
 
     Args:
         text: The name that the user wrote.
-        allowed: The names that the input may have.
+        allowed: The names that are allowed here.
         most: The largest number of names in the result.
-        all_of_them: The command that lists all allowed names; the result always ends with it.
+        all_of_them: The command that lists all allowed names.  If given, the result always ends with this
+            command.
 
     """
     by_lower = {name.lower(): name for name in allowed}
@@ -164,8 +174,10 @@ def refuse_other_type(argument: str, value: object, *kinds: type, expected: str 
         argument: The name of the argument.
         value: Its value.
         *kinds: The allowed types.
-        expected: Completes "expected ..."; empty: the name of the first type.
-        hint: Empty: the function that makes such a value, if the first type has one.
+        expected: Completes the text "expected ...".  If empty, the text is the name of the first allowed
+            type.
+        hint: A hint for the user.  If empty, the hint states the function that creates the first type, if
+            there is such a function.
 
     """
     if not isinstance(value, kinds):
@@ -175,15 +187,19 @@ def refuse_other_type(argument: str, value: object, *kinds: type, expected: str 
 
 
 def no_truth_value(question: str) -> InputError:
-    """Return the error for a truth test such as ``assert judge(trace)``, which would pass for any verdict."""
+    """Return the error for an attempt to use verdicts as a truth value.
+
+    Such a test, for example ``assert judge(trace)``, would pass for any verdict.
+    """
     hint = "assert_holds(claim, trace), or evaluation.verdict is Verdict.HOLDS"
     return InputError.of_option("truth value", "a question that a verdict answers", question, hint)
 
 
 def explanation(error: BaseException) -> str:
-    """Return the text of an error for people: place, expectation, actual input and hint, line by line.
+    """Return the text of an error for people.
 
-    The text of a missing package is a single line.
+    Its lines are the place, the expected input, the actual input and the hint.  If a package is missing, the
+    text is a single line.
     """
     if not isinstance(error, InputError) or isinstance(error, MissingPackageError):
         return str(error)
@@ -196,7 +212,7 @@ class ScenarioError(InputError):
 
 
 class RecordingError(InputError):
-    """A recorded motion cannot be used: it lacks a time column or samples, or a gap or jump is too large."""
+    """A recorded motion cannot be used: it lacks times or samples, or has a gap or jump that is too large."""
 
 
 class LogError(InputError):
@@ -208,7 +224,7 @@ class StreamError(InputError):
 
 
 class InadmissibleError(InputError):
-    """A well-formed scenario cannot run, for example with a start out of reach or an object out of view."""
+    """A scenario is well formed but cannot run, for example because its start is out of reach."""
 
 
 class FormulaError(InputError):
@@ -228,12 +244,12 @@ class OutputError(InputError):
 
     @classmethod
     def from_os_error(cls, path: Path, error: OSError) -> OutputError:
-        """Return the error for ``path``, with the operating system's message in ``error``."""
+        """Return the error for ``path``, which contains the text of the operating system's error."""
         return cls(place=Place(file=path), expected="a place that can be written", got=str(error))
 
 
 class ModelError(InputError):
-    """A model file is missing, damaged, incomplete or of a kind that this version does not run."""
+    """A model file is missing, damaged or incomplete, or has a kind that this version does not run."""
 
 
 class DatasetError(InputError):
@@ -245,11 +261,11 @@ class StatisticsError(InputError):
 
 
 class LedgerError(InputError):
-    """A campaign's ledger is missing, damaged, in use, of another version, or belongs to another plan."""
+    """A campaign's ledger is missing, damaged or in use, or it belongs to another version or another plan."""
 
 
 class RegionError(InputError):
-    """A region cannot be used: a box has no inside, or a shell has no volume."""
+    """A region cannot be used, because a box or a shell has no volume."""
 
 
 class InstallationError(InputError):
@@ -257,7 +273,10 @@ class InstallationError(InputError):
 
 
 class MissingPackageError(InstallationError):
-    """A missing optional package: ``place`` states what needs it, ``hint`` how to install it."""
+    """An optional package is missing.
+
+    ``place`` states the feature that needs the package, and ``hint`` states how to install the package.
+    """
 
     def __init__(self, *, place: Place, expected: str, got: str, hint: str = "") -> None:
         super().__init__(place=place, expected=expected, got=got, hint=hint)
@@ -265,13 +284,13 @@ class MissingPackageError(InstallationError):
 
 
 class AvoiderError(SafetyHarnessError):
-    """An avoider failed to propose a repulsive position (no direction, NaN or a wrong shape)."""
+    """An avoider failed to propose a position: its answer is NaN, lacks a direction or has a wrong shape."""
 
 
 class SearchOrderError(SafetyHarnessError):
-    """A search was used out of order, or a searcher proposed a point outside the unit cube.
+    """The calls to a search had a wrong order, or a searcher proposed a point outside the unit cube.
 
-    The order concerns the calls of ``ask`` and ``tell_scores``.
+    Each call of ``ask`` must be followed by a call of ``tell_scores``.
     """
 
 
@@ -284,23 +303,29 @@ class SimulationError(SafetyHarnessError):
 
 
 class ControllerError(SimulationError):
-    """A run failed: the user's controller raised, returned an invalid action, or is no controller."""
+    """A user's controller raised an exception, returned an invalid action, or lacks a necessary method."""
 
 
 class NoAnswerError(SimulationError):
-    """An avoider gave no answer within the limit of real time, so the run has failed, without a verdict."""
+    """An avoider did not answer within the limit of real time.
+
+    The run has failed and has no verdict.
+    """
 
     def __init__(self, name: str, limit_s: float) -> None:
         super().__init__(f"the avoider {name!r} gave no answer within {limit_s:g} s of wall time")
 
 
 class EditedProgramError(InadmissibleError):
-    """The files of a program have changed while a job runs, so that its runs would not belong together."""
+    """The files of a program changed during a job.
+
+    The runs before and after the change would not test the same program.
+    """
 
 
 class CampaignError(SafetyHarnessError):
-    """A campaign cannot continue, because its workers cannot start or the cluster is gone."""
+    """A campaign cannot continue, because its workers cannot start or the cluster cannot be reached."""
 
 
 class ArmModelError(SafetyHarnessError):
-    """The robot description is missing or is not the kind of arm that this package knows."""
+    """The robot description is missing, or it describes a kind of arm that this package does not support."""

@@ -1,13 +1,13 @@
-"""Extension points: the kinds of parts that a package can add to the core, as groups of entry points.
+"""Extension points: the kinds of parts that a package can add to the core by means of entry points.
 
 A package lists its parts in its ``pyproject.toml``, and the core loads a part when it needs it:
 
     [project.entry-points."safety_harness.commands"]
     certify = "safety_harness.extensions.assurance.commands.certify:of_certify"
 
-The parts of this distribution come first; foreign parts follow, sorted by name.  The core skips a part, with
-a warning, if it cannot load the part, or if the type is wrong.  It also skips a part that has the name of an
-earlier part.  A skipped part never stops or replaces another part.
+The parts of this distribution come first, and the parts of other distributions follow in the order of their
+names.  The core skips a part and prints a warning if the part cannot be loaded or has a wrong type.  The core
+also skips a part that has the same name as an earlier part.  A skipped part has no effect on other parts.
 """
 
 from __future__ import annotations
@@ -30,7 +30,10 @@ OWN_TITLES = ("scenario", "scenario space", "suite")  # of files that the core r
 
 
 class ExtensionPoint(StrEnum):
-    """The groups of entry points, each with the type of its parts and what the core uses them for."""
+    """The groups of entry points.
+
+    The text of each group states the type of its parts and the core's use of them.
+    """
 
     COMMANDS = "safety_harness.commands"
     """``typer.Typer``: has a command, or is a group of commands, with the name of this part."""
@@ -63,7 +66,11 @@ class ExtensionPoint(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class CheckedFile:
-    """A valid file: ``words`` describes it for people, ``data`` for programs; ``spaces`` are its spaces."""
+    """A valid file.
+
+    ``words`` describes the file for people, ``data`` describes it for programs, and ``spaces`` lists the
+    spaces that it contains.
+    """
 
     file: Path
     words: str
@@ -73,21 +80,24 @@ class CheckedFile:
 
 @dataclass(frozen=True, kw_only=True)
 class InputFile:
-    """A kind of file that a package adds.  A command skips such a file if the command's field is None.
+    """A kind of file that a package adds.  A command skips such files if the field for this command is None.
 
     Args:
-        words: The kind with its article, as messages call it: ``a plan``.
-        command: The command for such a file; ``{file}`` stands for its path.
-        check: For ``validate``: reads the file at a path and raises InputError if it is unusable.  Its second
-            argument is a function that admits a scenario and executes no user code.
-        explain: For ``explain``: prints the content of the file at a path and returns the exit code.
-        draft: For ``new``: writes such a file to the second path, from another file at the first path, and
-            returns the exit code.
-        tables: For ``explain KEY``: returns the ``KeyTable`` objects of the file.
-        schema: For ``schema``: returns the file's JSON Schema.
-        recorded: For ``judge``, ``view`` and pytest: reads the file at a path as a recorded run, with claims
-            that replace its own.
-        title: The key that titles such files.  It is the name of the entry point, which fills it in.
+        words: The name of the kind with an article, for use in messages, such as ``a plan``.
+        command: The command for such a file, in which ``{file}`` stands for the path.
+        check: A function for ``validate`` that reads the file at a path, and raises InputError if the file
+            cannot be used.  Its second argument is a function that admits a scenario and executes no user
+            code.
+        explain: A function for ``explain`` that prints the content of the file at a path, and returns the
+            exit code.
+        draft: A function for ``new`` that reads another file at the first path, writes a file of this kind to
+            the second path, and returns the exit code.
+        tables: A function for ``explain KEY`` that returns the ``KeyTable`` objects of this kind of file.
+        schema: A function for ``schema`` that returns the file's JSON Schema.
+        recorded: A function for ``judge``, ``view`` and pytest that reads the file at a path as a recorded
+            run.  Its second argument contains claims that replace the claims of the file.
+        title: The key at the top of such a file, by which commands recognise its kind.  The field is filled
+            in automatically with the name of the entry point.
 
     """
 
@@ -104,7 +114,10 @@ class InputFile:
 
 @dataclass(frozen=True)
 class RegisteredPart:
-    """An entry point; ``package`` is its distribution with the version, or empty if the part is ours."""
+    """An entry point of a package.
+
+    ``package`` is the distribution with its version, or an empty text for a part of this distribution.
+    """
 
     group: str
     name: str
@@ -117,9 +130,11 @@ class RegisteredPart:
 
 @lru_cache
 def parts(point: ExtensionPoint) -> tuple[RegisteredPart, ...]:
-    """Return the parts of a kind without loading them: ours, then foreign parts sorted by name.
+    """Return the parts of a kind without loading them.
 
-    In a checkout, our parts come from its ``pyproject.toml``, even if an older installation lists others.
+    Our own parts come first.  The parts of other distributions follow in the order of their names.  In a
+    checkout, our own parts come from its ``pyproject.toml``, even if an older installation lists different
+    parts.
     """
     known = {RegisteredPart(point, name, value) for name, value in _of_the_checkout().get(point, {}).items()}
     for entry in entry_points(group=point):
@@ -142,12 +157,18 @@ def _of_the_checkout() -> dict[str, dict[str, str]]:
 
 
 def foreign_parts() -> tuple[RegisteredPart, ...]:
-    """Return the parts that foreign distributions add, because evidence records them."""
+    """Return the parts that come from other distributions.
+
+    Evidence records these parts.
+    """
     return tuple(part for point in ExtensionPoint for part in parts(point) if part.package)
 
 
 def load(part: RegisteredPart, kind: type[_Part]) -> _Part | None:
-    """Return the loaded part, or None with a warning if it cannot be loaded or is not of type ``kind``."""
+    """Load a part and return it.
+
+    Return None after a warning if the part cannot be loaded or is not of type ``kind``.
+    """
     try:
         loaded_part = EntryPoint(part.name, part.value, part.group).load()
     except Exception as error:  # a foreign module may raise anything
@@ -161,14 +182,22 @@ def load(part: RegisteredPart, kind: type[_Part]) -> _Part | None:
 
 
 def is_absent(part: RegisteredPart, error: Exception) -> bool:
-    """Return whether loading failed because our part's wing is not installed, which is no mistake."""
+    """Return whether loading failed only because the part belongs to a wing that is not installed.
+
+    A missing wing is allowed and causes no warning.
+    """
     wing = ".".join(part.value.split(".")[:3])
     return not part.package and isinstance(error, ModuleNotFoundError) and wing.startswith(error.name or "?")
 
 
 @lru_cache
 def warn(part: RegisteredPart, why: str) -> None:
-    """Print one warning on standard error that the harness skips ``part`` because of ``why``."""
+    """Print a warning on standard error that the harness skips ``part``.
+
+    Further calls with the same arguments print no warning.
+
+    ``why`` is the reason that the warning states.
+    """
     if sys.stderr is not None:
         sys.stderr.write(f"warning: skipped {part}: {why}\n")
 
@@ -176,11 +205,11 @@ def warn(part: RegisteredPart, why: str) -> None:
 def loaded(
     point: ExtensionPoint, kind: type[_Part], *, reserved: tuple[str, ...] = ()
 ) -> Iterator[tuple[str, _Part]]:
-    """Yield the name and the part for each usable part of a kind.
+    """Yield the name and the object of each usable part of a kind.
 
     Args:
         point: The group of entry points.
-        kind: The type that a part must have; a part of another type causes a warning.
+        kind: The type that a part must have.  A part of another type causes a warning.
         reserved: Names that a part may not have.
 
     """
@@ -222,7 +251,7 @@ def part_named(point: ExtensionPoint, name: str, kind: type[_Part]) -> _Part:
 
 
 def _identities(part: object) -> set[str]:
-    """Return the texts, in lower case, by which files and commands choose a part."""
+    """Return the texts by which files and commands refer to a part, in lower case."""
     texts = (getattr(part, name, None) for name in ("name", "label", "example", "words"))
     return {text.casefold() for text in texts if isinstance(text, str)}
 
@@ -230,8 +259,9 @@ def _identities(part: object) -> set[str]:
 class Registry(list[_Part]):
     """The core's own parts of a kind, followed by the parts that packages add.
 
-    The registry loads added parts at its first use.  It cannot load them earlier, when it is created.  A
-    package's module may contain parts of several kinds, and may import the module that creates this registry.
+    The registry loads the added parts when it is first used.  The registry cannot load these parts earlier,
+    when the registry is created.  The reason is that a package's module may import the module that creates
+    this registry.
     """
 
     def __init__(self, own: Iterable[_Part], point: ExtensionPoint, kind: type[_Part]) -> None:
@@ -239,7 +269,10 @@ class Registry(list[_Part]):
         self._waiting: tuple[ExtensionPoint, type[_Part]] | None = (point, kind)
 
     def _complete(self) -> None:
-        """Load the parts of packages if no earlier call did, and warn about names that already exist."""
+        """Load the parts of other packages, unless this was already done.
+
+        Warn about each part with a name that already exists.
+        """
         if self._waiting is not None:
             (point, kind), self._waiting = self._waiting, None
             own = tuple(str(getattr(present, "name", "")) for present in list.__iter__(self))
@@ -260,13 +293,13 @@ class Registry(list[_Part]):
         return super().__len__()
 
     def __getitem__(self, index: Any) -> Any:
-        """Return the part, or the parts, at an index."""
+        """Return the part at an index, or the parts in a slice."""
         self._complete()
         return super().__getitem__(index)
 
 
 @lru_cache
 def input_files() -> dict[str, InputFile]:
-    """Return the kinds of file that packages add, by the key that titles them."""
+    """Return the kinds of file that packages add, indexed by the key at the top of such a file."""
     added = loaded(ExtensionPoint.INPUTS, InputFile, reserved=OWN_TITLES)
     return {title: replace(kind, title=title) for title, kind in added}

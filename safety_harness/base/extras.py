@@ -1,7 +1,7 @@
 """Optional packages, and the error if one of them is missing.
 
-An ``Extra`` is an optional part of the installation.  A module imports the packages of an extra only where it
-uses them, within ``with IMAGES.needed("rendered images"):``.
+An ``Extra`` is an optional part of the installation.  A module imports the packages of an extra only at the
+place of use, within ``with IMAGES.needed("rendered images"):``.
 """
 
 from __future__ import annotations
@@ -24,12 +24,13 @@ class Extra:
     """An optional part of this package.
 
     Args:
-        name: The name for pip: ``DISTRIBUTION[name]``.
-        modules: The modules that it installs.
-        use: The features that need it.
-        package: The package of the first module, if its name differs.
-        instead: The way to work without it.
-        newest_wheel: The newest Python with a wheel; None: every Python has one.
+        name: The name of the extra, as in ``DISTRIBUTION[name]``.
+        modules: The modules that the extra installs.
+        use: The features that need the extra.
+        package: The name of the package on PyPI, if it differs from the name of the first module.
+        instead: A text on how to work without the extra.
+        newest_wheel: The newest Python version for which there is a wheel.  None means that every version has
+            a wheel.
 
     """
 
@@ -42,7 +43,7 @@ class Extra:
 
     @property
     def hint(self) -> str:
-        """How to install the extra with this Python, or how to work without it."""
+        """A text on how to install the extra for this Python, or how to work without it."""
         get = f"pip install '{DISTRIBUTION}[{self.name}]'"
         if self.newest_wheel is not None and sys.version_info[:2] > self.newest_wheel:
             newest = ".".join(map(str, self.newest_wheel))
@@ -52,15 +53,15 @@ class Extra:
 
     @contextmanager
     def needed(self, feature: str, file: Path | None = None) -> Iterator[None]:
-        """Turn a missing package of this extra, imported within the context, into MissingPackageError.
+        """Raise MissingPackageError if an import within the context fails because the extra is missing.
 
         Args:
             feature: The feature that needs the packages.
-            file: The file that asks for the feature; None: no file.
+            file: The file that uses the feature, or None if there is no file.
 
         Raises:
             MissingPackageError: A package of this extra is not installed.
-            ModuleNotFoundError: Another module is missing, which is a mistake in that code.
+            ModuleNotFoundError: A module outside this extra is missing, which is a programming error.
 
         """
         try:
@@ -74,7 +75,10 @@ class Extra:
             ) from error
 
     def require(self, feature: str, file: Path | None = None) -> None:
-        """Check that the extra's first package exists, without importing it; otherwise like ``needed``."""
+        """Check, without importing it, that the first module of the extra exists.
+
+        The arguments and errors are the same as in ``needed``.
+        """
         with self.needed(feature, file):
             if find_spec(self.modules[0]) is None:
                 raise ModuleNotFoundError(name=self.modules[0])
@@ -85,6 +89,7 @@ PYBULLET = Extra(
     ("pybullet",),
     "the reference world and rendered images",
     instead="or use another world: --world mujoco (extra mujoco) or kinematic; pytest: --safety-world",
+    # PyBullet has no wheel for a later Python (seen in 2026).
     newest_wheel=(3, 11),
 )
 MUJOCO = Extra(
@@ -121,7 +126,10 @@ EXTRAS = (PYBULLET, MUJOCO, IMAGES, ONNX, LEARNING, FITTING, EXPORT, LOGS, CLUST
 
 @contextmanager
 def quiet_export() -> Iterator[None]:
-    """Silence PyTorch's exporter within the context, because callers test what it made."""
+    """Silence the messages of PyTorch's exporter within the context.
+
+    The messages are not needed, because callers test the exported file.
+    """
     logger = logging.getLogger("torch.onnx")
     old_level = logger.level
     logger.setLevel(logging.ERROR)

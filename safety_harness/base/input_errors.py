@@ -13,13 +13,14 @@ _Made = TypeVar("_Made")
 
 
 class InputErrors(InputError):
-    """Several inputs cannot be used, and the command did no work.
+    """Several inputs cannot be used, and the command has not done any work.
 
-    The message is that of the first error, with the other errors in its hint.  ``errors`` holds all of them.
+    The message is the message of the first error, and the hint contains the remaining errors.  The attribute
+    ``errors`` contains all errors.
 
     Args:
         errors: At least one error.
-        left: The number of usable inputs.
+        left: The number of inputs that can be used.
 
     """
 
@@ -31,7 +32,10 @@ class InputErrors(InputError):
 
     @property
     def inputs(self) -> int:
-        """The number of files with an error; an error without a file counts as one more."""
+        """The number of inputs with an error.
+
+        All errors of one file count once, and each error without a file counts separately.
+        """
         files = [error.place.file for error in self.errors]
         return len({file for file in files if file is not None}) + files.count(None)
 
@@ -40,12 +44,15 @@ class InputErrors(InputError):
 
 
 def each_once(errors: Iterable[InputError]) -> list[InputError]:
-    """Return each error once, because a mistake in a shared base file occurs in every file that uses it."""
+    """Return each distinct error once.
+
+    A mistake in a shared base file otherwise occurs once per file that uses the base file.
+    """
     return list({str(error): error for error in errors}.values())
 
 
 def usable(items: Iterable[_Item], make: Callable[[_Item], _Made]) -> tuple[list[_Made], list[InputError]]:
-    """Return the results of ``make`` for the items, and the errors of those items for which it failed."""
+    """Return the results of ``make`` for the usable items, and the errors for the remaining items."""
     made: list[_Made] = []
     errors: list[InputError] = []
     for item in items:

@@ -1,4 +1,4 @@
-"""Run compiled functions as Python code: without compiling them, or to learn which ones a job calls."""
+"""Run compiled functions as Python code, to save compilation or to record which functions a job calls."""
 
 from __future__ import annotations
 
@@ -18,14 +18,17 @@ _Made = TypeVar("_Made")
 
 
 class _Interpreted(CompiledFunction):
-    """A compiled function that Python runs as Python."""
+    """A compiled function that runs as Python code instead."""
 
     def __call__(self, *args: Any) -> Any:
         return self.py_func(*map(_with_attributes, args))
 
 
 def _with_attributes(value: Any) -> Any:
-    """Return a view of records whose fields are attributes, as in compiled code; other values unchanged."""
+    """Convert a value so that Python code can use it in the same way as compiled code.
+
+    Fields of records become attributes, and any other value stays unchanged.
+    """
     if isinstance(value, np.ndarray) and value.dtype.names:
         return value.view(np.recarray)
     if isinstance(value, tuple) and hasattr(value, "_fields"):
@@ -34,7 +37,10 @@ def _with_attributes(value: Any) -> Any:
 
 
 class _Record:
-    """A record of an array that is changed in place, which ``np.record`` would copy."""
+    """A view of a record in an array.  Changes of the view's fields change the array.
+
+    An ``np.record`` would instead be a copy of the record.
+    """
 
     _record: np.void
 
@@ -51,15 +57,15 @@ class _Record:
 
 
 def without_compiling(work: Callable[[], _Made]) -> _Made:
-    """Return the result of ``work`` while Python runs every compiled function as Python.
+    """Call ``work`` while every compiled function runs as Python code, and return its result.
 
-    Use it for work that calls each function only a few times.  Admission of a scenario takes 5 ms this way,
-    compared with 12 s for compiling and 0.3 s for loading.  Where numpy has a sine of its own, results may
-    differ from machine code by rounding.  So a caller must always choose this way, or never, whether or not
-    the machine code exists.
+    Use this function for work that calls each compiled function only a few times.  For example, the admission
+    of a scenario takes 5 ms as Python code.  To compile its functions takes 12 s, and to load their machine
+    code takes 0.3 s.  Functions such as numpy's own sine may round differently from machine code.  Therefore
+    a caller must either always use this function or never, whether or not the machine code already exists.
 
-    Where machine code computes NaN or infinity, such as by a division by zero, Python raises ArithmeticError
-    or ValueError.  In that case ``work`` runs again, compiled.
+    Python raises ArithmeticError or ValueError in cases where machine code returns NaN or infinity, for
+    example after a division by zero.  In that case ``work`` runs a second time with compiled functions.
     """
     try:
         call_as(_Interpreted)
@@ -73,7 +79,7 @@ def without_compiling(work: Callable[[], _Made]) -> _Made:
 
 
 class _Noted(_Interpreted):
-    """A compiled function that Python runs as Python, and whose outermost calls are noted."""
+    """A compiled function that runs as Python code and records its outermost calls."""
 
     def __call__(self, *args: Any) -> Any:
         if not _noted.depth:
@@ -87,7 +93,7 @@ class _Noted(_Interpreted):
 
 @dataclass
 class _Notes:
-    """The calls so far, in order, and the depth of the present call."""
+    """The recorded calls in their order, and the depth of the current call."""
 
     calls: dict[tuple[Any, Any], None] = field(default_factory=dict)
     depth: int = 0
@@ -97,9 +103,10 @@ _noted = _Notes()
 
 
 def calls_of(work: Callable[[], object]) -> list[tuple[Any, Any]]:
-    """Return the compiled functions, and the types of their arguments, that ``work`` calls, in order.
+    """Return the compiled functions that ``work`` calls, in order, with the types of their arguments.
 
-    Python runs them, so nothing is compiled.  After an error of ``work`` the calls before it are returned.
+    The functions run as Python code, without compilation.  If ``work`` raises an exception, the result
+    contains the calls before the exception.
     """
     _noted.calls = {}
     try:
@@ -112,9 +119,10 @@ def calls_of(work: Callable[[], object]) -> list[tuple[Any, Any]]:
 
 
 def cache_indexes(functions: Iterable[Any]) -> list[Path]:
-    """Return the cache files that will list the machine code of ``functions`` and of all that they call.
+    """Return the cache files that list the machine code of ``functions`` and of all functions called by them.
 
-    Functions called only where a condition is constant are included, although numba may leave them out.
+    If a branch has a constant condition, numba may omit the calls in this branch.  The result includes the
+    called functions in any case.
     """
     waiting, met = list(functions), dict[Any, None]()
     while waiting:
@@ -126,12 +134,12 @@ def cache_indexes(functions: Iterable[Any]) -> list[Path]:
 
 
 def _has_cache(function: Any) -> bool:
-    """Return whether the cache keeps the machine code of a function."""
+    """Return whether this package's cache stores the machine code of a function."""
     return isinstance(function, CompiledFunction)
 
 
 def _callees(function: Any) -> Iterable[Any]:
-    """Return the compiled functions that a function names."""
+    """Return the compiled functions that a function's code refers to."""
     names = (step.argval for step in dis.get_instructions(function) if step.opname == "LOAD_GLOBAL")
     named = [function.__globals__.get(name) for name in names]
     named += [cell.cell_contents for cell in function.__closure__ or ()]

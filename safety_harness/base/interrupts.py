@@ -1,4 +1,4 @@
-"""Handling of Ctrl-C and similar signals while some work must finish, or another process handles them."""
+"""Handling of Ctrl-C and similar signals, for work that must finish and for child processes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from types import FrameType
 
 
 def answer_as_ctrl_c() -> None:
-    """Make SIGTERM and SIGHUP act like Ctrl-C, unless they are ignored.
+    """Make SIGTERM and SIGHUP act like Ctrl-C, unless the process ignores these signals.
 
     In forked processes, these signals end the process at once.
     """
@@ -31,10 +31,11 @@ def answer_as_ctrl_c() -> None:
 
 @contextmanager
 def deaf_children() -> Iterator[None]:
-    """Protect processes that start within this context from Ctrl-C, from their first moment on.
+    """Protect processes that start within this context from Ctrl-C.
 
-    Otherwise they would end with a traceback during their imports.  A Ctrl-C for this thread takes effect
-    after the context.
+    A process is protected as soon as it exists.  Without this protection, Ctrl-C would end the processes with
+    a traceback during their imports.  If Ctrl-C reaches the calling thread within the context, it takes
+    effect at the context's end.
     """
     resource_tracker.ensure_running()  # otherwise it would allow Ctrl-C again later
     earlier_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -46,7 +47,7 @@ def deaf_children() -> Iterator[None]:
 
 @contextmanager
 def one_more_ctrl_c(say: Callable[[str], None], remark: str) -> Iterator[Callable[[], bool]]:
-    """Answer the first Ctrl-C within the context with ``remark``, and raise KeyboardInterrupt at the second.
+    """Print ``remark`` at the first Ctrl-C within the context, and raise KeyboardInterrupt at the second.
 
     The context yields a function that returns whether Ctrl-C was pressed.
     """

@@ -1,8 +1,8 @@
-"""Machine code for any x86-64 processor in a wheel, so that the first run need not compile.
+"""Load machine code for any x86-64 processor from a wheel, so that the first run need not compile.
 
-``make wheel`` compiles for numba's *generic* target, whose results are the same bit for bit.  Numba stores
-its index and its code as pickles, and reading a pickle may execute anything.  So this module reads a file
-only if it lies in the package's own folder and its SHA-256 is in the installation's RECORD.
+``make wheel`` compiles for numba's *generic* processor, whose results are the same bit for bit.  Numba stores
+its index and its code as pickles, and reading a pickle can execute any code.  Therefore this module reads a
+file only if it is in the package's own folder and its SHA-256 is in the installation's RECORD.
 """
 
 from __future__ import annotations
@@ -29,31 +29,34 @@ _IndexDataCacheFile: Any = IndexDataCacheFile
 
 
 class InstalledCode(_IndexDataCacheFile):  # type: ignore[misc]
-    """The machine code of one function, as it lies in the package's folder."""
+    """The machine code of one function in the package's folder."""
 
     def __init__(self, folder: Path, filename_base: str) -> None:
         super().__init__(cache_path=str(folder), filename_base=filename_base, source_stamp=STAMP)
         self._package = folder.parents[1]
 
     def load_generic(self, key: tuple[Any, tuple[str, str, str], Any]) -> Any:
-        """Return the generic machine code for the host's ``key``, or None if it is absent."""
+        """Return the generic machine code for a function, or None if there is no such code.
+
+        ``key`` is numba's key for the host's processor.
+        """
         signature, (triple, _, _), hashes = key
         return self.load((signature, (triple, *GENERIC), hashes))
 
     def _load_index(self) -> Any:
-        """Return numba's index, or an empty one if RECORD does not confirm the file."""
+        """Return numba's index, or an empty index if the file's hash is not in RECORD."""
         return super()._load_index() if is_as_installed(Path(self._index_path), self._package) else {}
 
     def _load_data(self, name: str) -> Any:
-        """Return one file of code, or None if RECORD does not confirm it."""
+        """Return one file of machine code, or None if the file's hash is not in RECORD."""
         path = Path(self._data_path(name))
         return super()._load_data(name) if is_as_installed(path, self._package) else None
 
 
 def is_as_installed(file: Path, package: Path) -> bool:
-    """Return whether RECORD lists a file in the folder of ``package`` with the file's present hash.
+    """Return whether a file is unchanged since the installation of ``package``, according to RECORD.
 
-    If the hash differs, a warning follows, because the file was changed after the installation.
+    If the file's hash differs from RECORD, the function logs a warning.
     """
     expected = recorded_hashes(package).get(file.relative_to(package.parent).as_posix())
     if expected is None or not file.is_file():
@@ -66,7 +69,10 @@ def is_as_installed(file: Path, package: Path) -> bool:
 
 @cache
 def recorded_hashes(package: Path) -> dict[str, str]:
-    """Return the hashes (base64) of the machine code's files, by path, from the RECORD of ``package``."""
+    """Return the base64 hashes of all machine code files, from the RECORD of ``package``.
+
+    The keys are the files' paths.
+    """
     try:
         installation = metadata.distribution(DISTRIBUTION)
     except metadata.PackageNotFoundError:

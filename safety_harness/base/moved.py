@@ -1,4 +1,7 @@
-"""Old import paths of documented names, kept for one release; each imports the module at its new place."""
+"""Old import paths of documented names, supported for one release.
+
+An old path imports the module at its new place.
+"""
 
 from __future__ import annotations
 
@@ -35,28 +38,38 @@ _TOPS = {name.partition(".")[0] for name in MOVED} - {"claims"}  # that package 
 
 
 class _FromNewPlace(Loader):
-    """The loader of a module at its new place, or of an empty package that only contained moved modules."""
+    """The loader for an old path.
+
+    The loader loads the module at the new place. If the old path is a package of which all modules have
+    moved, the loader creates an empty package.
+    """
 
     def __init__(self, new: str) -> None:
         self._new = new
 
     def create_module(self, spec: ModuleSpec) -> ModuleType | None:
-        """Return None, so that Python creates the module."""
+        """Return None, so that Python itself creates the module."""
         return None
 
     def exec_module(self, module: ModuleType) -> None:
-        """Register the module at the new place under the old name in ``sys.modules``."""
+        """Register the module from the new place in ``sys.modules`` under the old name."""
         if self._new:
             sys.modules[module.__name__] = import_module(f"{PACKAGE}.{self._new}")
 
 
 class MovedModules(MetaPathFinder):
-    """The finder of the modules in ``MOVED``; it refuses all other modules below their old packages."""
+    """The finder for the old paths in ``MOVED``.
+
+    The finder raises an error for any other path below an old package.
+    """
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the spec of a moved module; ModuleNotFoundError for any other module of an old package."""
+        """Return the spec of a moved module.
+
+        Raise ModuleNotFoundError for any other module of an old package.
+        """
         package, _, old = fullname.partition(".")
         if package != PACKAGE or (old not in MOVED and old.partition(".")[0] not in _TOPS):
             return None

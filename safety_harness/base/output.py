@@ -1,4 +1,7 @@
-"""Output of a job during its work, which a command prints and a program may ignore."""
+"""The output of a job while it works.
+
+A command prints this output, and a program may ignore it.
+"""
 
 from __future__ import annotations
 
@@ -23,23 +26,29 @@ def _no_block() -> Iterator[Callable[[list[str]], None]]:
 
 @contextmanager
 def _no_count(total: int, unit: str) -> Iterator[Callable[..., None]]:
-    """Yield a function that ignores the progress; ``total`` and ``unit`` have no effect."""
+    """Yield a function that ignores the progress that is passed to it.
+
+    ``total`` and ``unit`` have no effect.
+    """
     yield lambda done, message="", at="": None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Output:
-    """The functions that receive a job's progress; the defaults ignore it.
+    """A set of functions that receive the output of a job.
+
+    The defaults ignore all output.
 
     Args:
-        say: Receives lines of remarks, or no line.
+        say: Receives zero or more lines of remarks.
         result: Receives lines of results.
-        detail: Receives lines on each part of the work, which a command prints with --verbose.
-        explain: Receives an InputError about a skipped input.
-        block: Returns a context that yields a function.  This function receives the lines with the job's
+        detail: Receives lines about the parts of the work, which a command prints only with --verbose.
+        explain: Receives an InputError about an input that was skipped.
+        block: Returns a context that yields a function.  The job calls this function with lines on its
             current step.
-        counting: Returns a context, for a total and its unit, that yields a function.  This function receives
-            the number of finished items, the next item in words, and the number of the part (``at``).
+        counting: Takes a total and its unit, and returns a context that yields a function.  The job calls
+            this function with the number of finished items, a text on the next item, and the number of the
+            part (``at``).
 
     """
 
@@ -52,10 +61,10 @@ class Output:
 
     @classmethod
     def to(cls, each_line: Callable[[str], object]) -> Output:
-        """Return the output that passes each line to one function, such as ``print``.
+        """Return an output that passes every line to the same function, such as ``print``.
 
         Args:
-            each_line: Receives one line of remarks or results.
+            each_line: A function that receives one line of remarks or results.
 
         """
 
@@ -67,7 +76,7 @@ class Output:
 
     @contextmanager
     def messages(self) -> Iterator[Callable[[str], None]]:
-        """Yield a function that receives the next step in words, for work of unknown length."""
+        """Yield a function that receives a text about the next step, for work of unknown length."""
         with self.block() as show:
             yield lambda step: show([step])
 
@@ -75,7 +84,7 @@ class Output:
 
     @contextmanager
     def steps(self) -> Iterator[Callable[[str, float], None]]:
-        """Yield a function that receives the next step in words and the finished share (0 to 1)."""
+        """Yield a function that receives a text about the next step, and the finished fraction."""
         pace = Pace()
         with self.block() as show:
             yield lambda step, share: show([step + where(share, 1.0, pace)])
@@ -91,8 +100,8 @@ def where(done: float, total: float, pace: Pace) -> str:
 
     Args:
         done: The finished amount, in the unit of ``total``.
-        total: The whole amount.
-        pace: Computes the rate, from which the remaining time follows.
+        total: The total amount.
+        pace: An object that computes the rate of progress, which gives the remaining time.
 
     """
     rate = pace.rate(done)
@@ -106,12 +115,12 @@ def where(done: float, total: float, pace: Pace) -> str:
 
 
 def time_left(seconds: float) -> str:
-    """Return the remaining time in words."""
+    """Return a text on the remaining time."""
     return f"{time_words(seconds)} left"
 
 
 def time_words(seconds: float) -> str:
-    """Return a duration in words: whole seconds, whole minutes, or hours with one decimal."""
+    """Return a duration as text: whole seconds, whole minutes, or hours with one decimal."""
     if seconds < 90.0:
         return f"{seconds:.0f} s"
     return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"

@@ -1,4 +1,7 @@
-"""Processes for work in independent pieces; campaigns use the replaceable processes of ``processes``."""
+"""Processes for work that consists of independent pieces.
+
+Campaigns use the replaceable processes of ``processes`` instead.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_
 def one_thread_each() -> None:
     """Limit numerical libraries to one thread, unless the environment already sets a number.
 
-    The limit also applies to libraries that are imported later, here and in new processes.
+    The limit also applies to libraries that are imported later, in this process and in new processes.
     """
     for name in THREADS:
         os.environ.setdefault(name, "1")
@@ -25,14 +28,14 @@ def one_thread_each() -> None:
 
 @contextmanager
 def pool(jobs: int, begin: Callable[[], None] | None = None) -> Iterator[ProcessPoolExecutor]:
-    """Yield an executor of new processes with one thread each, which call ``begin`` first.
+    """Yield an executor of new processes, each limited to one thread.
 
-    Any exception within the context ends the processes at once.  Only the process of the caller reacts to
-    Ctrl-C.
+    A process calls ``begin`` before its first task.  Any exception within the context ends the processes at
+    once.  Ctrl-C interrupts only the caller's process, and the new processes ignore it.
 
     Args:
         jobs: The number of processes.
-        begin: Prepares a process; None: no preparation.
+        begin: A function that prepares a process.  None means that no preparation is needed.
 
     """
     one_thread_each()
@@ -49,7 +52,7 @@ def pool(jobs: int, begin: Callable[[], None] | None = None) -> Iterator[Process
 
 
 class InterruptImmuneProcess(SpawnProcess):
-    """A process that ignores Ctrl-C from its start."""
+    """A process that ignores Ctrl-C as soon as it starts."""
 
     def start(self) -> None:
         """Start the process while Ctrl-C is blocked."""
@@ -58,13 +61,13 @@ class InterruptImmuneProcess(SpawnProcess):
 
 
 class InterruptImmuneContext(SpawnContext):
-    """The context whose processes ignore Ctrl-C from their start."""
+    """A multiprocessing context whose processes ignore Ctrl-C as soon as they start."""
 
     Process = InterruptImmuneProcess
 
 
 def _begin(begin: Callable[[], None] | None) -> None:
-    """Ignore Ctrl-C in this process, and then prepare the process with ``begin``."""
+    """Ignore Ctrl-C in this process from now on, and then call ``begin`` to prepare the process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if begin is not None:
         begin()

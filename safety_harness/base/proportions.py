@@ -1,4 +1,4 @@
-"""Exact statistics of independent trials: shares with their bounds, sign tests, and shares in words."""
+"""Exact statistics of independent trials: confidence bounds, sign tests, and percentages as text."""
 
 from __future__ import annotations
 
@@ -11,12 +11,18 @@ from numpy.typing import NDArray
 
 from safety_harness.base.special import beta_share, binomial_at_most, settled
 
+# The usual level. Pages and reports print it as 95 %, so another value would make their texts wrong.
 LEVEL = 0.95
 
 
 @dataclass(frozen=True)
 class Proportion:
-    """The share ``count`` of ``trials``, and an interval that contains the true share with at least 95 %."""
+    """The proportion of successes in a number of trials, with the confidence interval of this proportion.
+
+    There are ``count`` successes in ``trials`` trials.
+
+    The interval from ``low`` to ``high`` contains the true probability with at least 95 % confidence.
+    """
 
     count: int
     trials: int
@@ -25,10 +31,11 @@ class Proportion:
 
     @classmethod
     def from_rows(cls, having: NDArray[np.bool_]) -> Proportion:
-        """Return the share of true rows (n,) with its two-sided interval (Clopper and Pearson, 1934).
+        """Return the proportion of true rows in ``having`` (n,) with its two-sided confidence interval.
 
-        If the true share is the lower end, ``count`` or more successes have a chance of 2.5 %.  If it is the
-        upper end, ``count`` or fewer successes have that chance.  ValueError without any trial.
+        The interval is that of Clopper and Pearson (1934).  If the true probability equals the lower end,
+        ``count`` or more successes have a probability of 2.5 %.  If it equals the upper end, ``count`` or
+        fewer successes have that probability.  Raise ValueError if there are no trials.
         """
         trials, count = len(having), int(np.count_nonzero(having))
         if not trials:
@@ -38,14 +45,14 @@ class Proportion:
 
     @property
     def share(self) -> float:
-        """The share, between 0 and 1."""
+        """The proportion, between 0 and 1."""
         return self.count / self.trials
 
 
 def share_words(count: int, total: int) -> str:
-    """Return a share in per cent with one decimal.
+    """Return a proportion as a percentage with one decimal, as text.
 
-    A positive count never gives 0 %, and a count below ``total`` never gives 100 %.
+    A positive ``count`` never gives 0 %, and a ``count`` below ``total`` never gives 100 %.
     """
     if total == 0:
         return "\u2013"
@@ -59,10 +66,11 @@ def share_words(count: int, total: int) -> str:
 
 @lru_cache(maxsize=4096)
 def upper_bound(count: int, trials: int, chance: float) -> float:
-    """Return the share at which at most ``count`` of ``trials`` successes have the probability ``chance``.
+    """Return the upper confidence bound for a success probability (Clopper and Pearson, 1934).
 
-    The result is 1 if all trials are successes.  It is the upper end of Clopper and Pearson (1934): with at
-    most this probability, the true share lies above it.
+    If the success probability equals the bound, ``count`` or fewer successes in ``trials`` trials occur with
+    the probability ``chance``.  The result is 1 if all trials were successes.  The true success probability
+    exceeds the bound with a probability of at most ``chance``.
     """
     if count >= trials:
         return 1.0
@@ -74,7 +82,11 @@ def upper_bound(count: int, trials: int, chance: float) -> float:
 
 @lru_cache(maxsize=4096)
 def lower_bound(count: int, trials: int, chance: float) -> float:
-    """Return the share at which ``count`` or more of ``trials`` succeed with ``chance``; 0 for no success."""
+    """Return the lower confidence bound for a success probability, or 0 if ``count`` is 0.
+
+    If the success probability equals the bound, ``count`` or more successes in ``trials`` trials occur with
+    the probability ``chance``.
+    """
     if count <= 0:
         return 0.0
     guide = float(scipy.special.betaincinv(count, trials - count + 1.0, chance))
@@ -82,14 +94,14 @@ def lower_bound(count: int, trials: int, chance: float) -> float:
 
 
 def sign_test(more: int, fewer: int) -> float:
-    """Return the exact two-sided p-value of the hypothesis that either side is equally likely.
+    """Return the exact two-sided p-value of the hypothesis that both outcomes are equally likely.
 
-    It is 1 without any observation.  For episodes that only one of two systems violates, this is McNemar's
-    test.
+    The result is 1 if there is no observation.  If an observation is an episode that exactly one of two
+    systems violates, the test is McNemar's test.
 
     Args:
-        more: Observations in favour of the first.
-        fewer: Observations in favour of the second.
+        more: The number of observations in favour of the first outcome.
+        fewer: The number of observations in favour of the second outcome.
 
     """
     return min(1.0, 2.0 * float(binomial_at_most(min(more, fewer), more + fewer, 0.5)))

@@ -1,4 +1,4 @@
-"""Old names of parameters, accepted for one release."""
+"""Support for old names of parameters, which functions still accept for one release."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ _Result = TypeVar("_Result")
 def renamed_parameters(
     **names: str,
 ) -> Callable[[Callable[_Parameters, _Result]], Callable[_Parameters, _Result]]:
-    """Return a decorator that makes a function accept old names of its keywords too.
+    """Return a decorator for a function that shall also accept the old names of its keyword arguments.
 
     Args:
-        names: The new name of each old name.
+        names: Keyword arguments of the form old name = new name.
 
     """
 

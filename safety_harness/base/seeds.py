@@ -1,7 +1,8 @@
 """The seed tree: every random number of a run is derived from the scenario's seed.
 
-A path of integers below the root identifies a stream.  So a stream stays the same when another stream is
-added.  Decision k gets the same numbers wherever and in whatever order decisions are made.
+A stream of random numbers is identified by a path of integers below the root.  Therefore a stream does not
+change when another stream is added.  Decision k always gets the same random numbers, in every process and in
+every order.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import numpy as np
 
 
 class Branch(IntEnum):
-    """The first step below the root.  The numbers are part of the trace format: never reuse one."""
+    """The first number of a path below the root.  Each number belongs to the trace format: never reuse it."""
 
     HAND_SENSOR_NOISE = 1
     DECISION = 2
@@ -38,6 +39,6 @@ def generator(root: int, branch: Branch, *path: int) -> np.random.Generator:
 
 
 def seed(root: int, branch: Branch, *path: int) -> int:
-    """Return a 63-bit seed for an object with its own generator, such as an avoider."""
+    """Return a 63-bit seed for an object that has its own generator, such as an avoider."""
     state = np.random.SeedSequence(root, spawn_key=(branch, *path)).generate_state(1, np.uint64)
     return int(state[0] >> np.uint64(1))

@@ -1,10 +1,10 @@
-"""Every default of the system under test and of its cell, in one frozen object: ``DEFAULTS``.
+"""All defaults of the system under test and of its cell, in the frozen object ``DEFAULTS``.
 
 Lengths are in metres, angles in radians, times in seconds, images in pixels.  Positions are in the robot's
-base frame (x forward, y left, z up, origin at the foot of the UR10).  A scenario file may change single
-values; it never changes this object.
+base frame (x forward, y left, z up, origin at the foot of the UR10).  A scenario file may replace single
+values for its runs, but never changes this object.
 
-The numbers were fixed before the first run.  Afterwards, these were changed:
+Most values were fixed before the first run.  The following values were changed or added later:
 
 * the object's polygon: 4/3 of its first size, so that servoing with raster images reaches 5 mm;
 * the object's yaw: 25 degrees in place of 0, chosen after a scan of yaws for the least pixel noise;
@@ -12,8 +12,8 @@ The numbers were fixed before the first run.  Afterwards, these were changed:
 * the overhead camera: 0.4 m higher and 0.13 m aside, when the first scenarios were written;
 * the full gate: added later, and the default since then.
 
-The first three were chosen by the convergence of servoing without hands (docs/results/arms.md), never by a
-claim about a hand.
+The first three values were chosen for the convergence of servoing without hands (docs/results/arms.md), and
+never for a claim about a hand.
 """
 
 from __future__ import annotations
@@ -41,17 +41,17 @@ def setting(
 ) -> T:
     """Return a field with its default and its description for scenario files.
 
-    A value outside the bounds means a mistaken unit or an unrealistic system.  Within the bounds, every
+    A value outside the bounds indicates a mistaken unit or an unrealistic system.  Within the bounds, every
     number that a run computes is finite, and the servo loop is stable.  (The largest gain times the longest
     control period is 0.5.)
 
     Args:
-        default: The value if no file states one.
-        meaning: The meaning, for the reference of keys.
-        least: The smallest allowed value, in SI units.  None: the bound of its dimension (``units``).
-        most: The largest allowed value, in SI units.  None: the bound of its dimension.
-        takes: A requirement that the value's type cannot express, in words.
-        example: An example for the reference, if the default does not show the form.
+        default: The value that applies if no file states one.
+        meaning: The meaning of the value, for the reference of keys.
+        least: The smallest allowed value, in SI units.  None means the bound of its dimension (``units``).
+        most: The largest allowed value, in SI units.  None means the bound of its dimension.
+        takes: A text that states a requirement which the value's type cannot express.
+        example: An example for the reference, needed if the default does not show the form.
 
     """
     description = {"meaning": meaning, "least": least, "most": most, "takes": takes, "example": example}
@@ -67,7 +67,7 @@ class ImageSource(Enum):
 
 
 class ObjectKind(Enum):
-    """What the moments sum over: a region, or a set of points."""
+    """The domain over which the moments are summed: a region, or a set of points."""
 
     DENSE = "dense"
     DISCRETE = "discrete"
@@ -98,7 +98,7 @@ class DetectorKind(Enum):
 
 
 class GateKind(Enum):
-    """The checks that a repulsive position must pass before the arm goes there."""
+    """The checks that a repulsive position must pass before the arm moves there."""
 
     REACH = "reach"  # finite, reachable, above the table: the plain system
     FULL = "full"  # also certain, reachable with margin, away from every hand, clear of the arm itself
@@ -106,9 +106,11 @@ class GateKind(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Cell:
-    """The table and the desired pose: a workspace in which the arm can reach every TCP start.
+    """The table and the desired pose.
 
-    ``preferred_joint_position_rad`` selects the branch of the inverse kinematics for a start: elbow up.
+    The defaults form a workspace in which the arm can reach every TCP start.
+    ``preferred_joint_position_rad`` selects the branch of the inverse kinematics for the start, by default
+    with the elbow up.
     """
 
     table_height_m: float = setting(-0.300, "z of the table", -2.0, 2.0)
@@ -121,10 +123,12 @@ class Cell:
 
 @dataclass(frozen=True, kw_only=True)
 class Object:
-    """The object that the arm servos to: a flat polygon in its own frame, and the place of that frame.
+    """The object that the arm servos to.
 
-    By default, the object is right under the camera of the desired TCP, 45 mm beside the TCP.  Away from the
-    image's centre, the condition number of the interaction matrix is 28.6 instead of 15.9.
+    The object is a flat polygon in its own frame, and the settings also state the pose of that frame.  If the
+    TCP is at the desired position, the object is right below the camera by default.  The object is then 45 mm
+    beside the TCP.  If the object were not at the image's centre, the condition number of the interaction
+    matrix would be 28.6 instead of 15.9.
     """
 
     # Close to a 3-4-5 right triangle, the best conditioned shape, with its centroid at the origin;
@@ -147,8 +151,8 @@ class Camera:
 
     ``transform_camera_to_tcp`` is a rotation by ``mount_yaw_rad`` about the tool axis and a shift by
     ``mount_offset_in_tcp_m``.  The two ``calibration_error`` values are the *controller's* errors relative to
-    the true mount.  They are a rotation vector in the camera frame and a shift in the TCP frame; zero means a
-    perfect hand-eye calibration.
+    the true mount.  One error is a rotation vector in the camera frame, and the other error is a shift in the
+    TCP frame.  Zero means a perfect hand-eye calibration.
     """
 
     width_px: int = setting(640, "of the image", 16, 4096)
@@ -205,7 +209,7 @@ class HandSensor:
 
 @dataclass(frozen=True, kw_only=True)
 class HandFilter:
-    """The Kalman filter of eq. 7, and the tracks of hands that use it."""
+    """The Kalman filter of eq. 7, and the tracking of hands with it."""
 
     prediction_horizon_s: float = setting(0.1, "how far ahead the hand is predicted", 0.0, 2.0)
     measurement_std_px: float = setting(2.0, "assumed error of the box's place")
@@ -239,7 +243,10 @@ class Servo:
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """The limits on what the controller may demand of the arm; the trace shows each limit that acts."""
+    """The limits on the controller's commands to the arm.
+
+    The trace shows each limit that was active.
+    """
 
     max_tcp_speed_mps: float = setting(0.25, "that the controller may demand")
     max_tcp_acceleration_mps2: float = setting(1.0, "that the controller may demand")
@@ -249,7 +256,7 @@ class Motion:
 
 
 class DecisionCost(Enum):
-    """The cost of a decision in simulated time, for a scenario without decision times."""
+    """The rule for the simulated time of a decision, if the scenario states no decision times."""
 
     AS_DECLARED = "as declared"  # by the avoider; an avoider that declares nothing costs nothing
     WALL_CLOCK = "wall clock"  # the time of the answer on this machine; such a run does not repeat
@@ -257,7 +264,10 @@ class DecisionCost(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Measured:
-    """The avoider whose decision times a profile contains, and the machine on which they were measured."""
+    """The origin of a measured profile of decision times.
+
+    The profile is valid for one avoider, and was measured on one machine.
+    """
 
     avoider: str  # as a scenario names it
     sha256: str  # of its file; empty for one without
@@ -267,10 +277,10 @@ class Measured:
 
 @dataclass(frozen=True, kw_only=True)
 class DecisionTimes:
-    """The cost of a decision in simulated time, drawn anew for each decision.
+    """The simulated time that a decision takes, which is drawn anew for each decision.
 
-    ``quantiles_s`` rise, and each interval between two neighbours is equally probable.  A single value is a
-    constant time; two values are a uniform distribution.
+    ``quantiles_s`` are in rising order, and the interval between two neighbouring quantiles always has the
+    same probability.  A single value means a constant time, and two values mean a uniform distribution.
     """
 
     quantiles_s: tuple[float, ...]
@@ -278,13 +288,13 @@ class DecisionTimes:
 
     @property
     def most_s(self) -> float:
-        """The largest cost; 0 for decisions that cost nothing."""
+        """The longest decision time, or 0 if decisions take no time."""
         return self.quantiles_s[-1]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Avoidance:
-    """When and how the TCP retreats (sections 3.3 and 4.1 of the paper)."""
+    """The conditions and parameters of the TCP's retreat (sections 3.3 and 4.1 of the paper)."""
 
     critical_distance_m: float = setting(
         0.400, "from the TCP to a predicted hand; zero is no avoidance at all", 0.0, 3.0
@@ -325,7 +335,10 @@ class Avoidance:
 
 @dataclass(frozen=True, kw_only=True)
 class Hand:
-    """The shape of a hand: a sphere, and a capsule for its forearm, from the hand's centre to the elbow."""
+    """The shape of a hand.
+
+    The hand is a sphere, and the forearm is a capsule from the hand's centre to the elbow.
+    """
 
     radius_m: float = setting(0.060, "of the sphere that is the hand", 0.01, 0.3)
     forearm_radius_m: float = setting(0.045, "of the capsule that is the forearm", 0.01, 0.3)
@@ -337,7 +350,7 @@ class Braking:
     """A protective stop: a reaction time, then uniform braking that takes T_s(v) = base + slope v.
 
     v is the TCP's speed.  The defaults follow the worst-case stop times in the UR10 CB3 manual: 450, 500 and
-    550 ms at 1.0, 1.5 and 2.0 m/s.  They lie on the straight line 0.35 s + 0.1 s^2/m v.
+    550 ms at 1.0, 1.5 and 2.0 m/s.  These times lie on the straight line 0.35 s + 0.1 s^2/m v.
     """
 
     reaction_time_s: float = setting(0.1, "before a protective stop begins to brake", 0.0, 5.0)
@@ -347,10 +360,10 @@ class Braking:
 
 @dataclass(frozen=True, kw_only=True)
 class Clock:
-    """The control period, its physics sub-steps, and the limit of real time for an answer.
+    """The control period, the number of physics steps in each control period, and the time limit for answers.
 
-    The UR10 accepts a new speed at 125 Hz; the sub-steps divide this period.  ``wall_limit_s`` ends a run
-    whose avoider hangs, but changes no trajectory.
+    The UR10 accepts a new speed at 125 Hz, and the physics steps divide this period.  If an avoider does not
+    answer within ``wall_limit_s``, the run ends.  This limit never affects a trajectory.
     """
 
     # At most 50 ms, because the arm is assumed to move evenly between two ticks.
@@ -379,7 +392,7 @@ class Settings:
 
     @cached_property
     def _hash(self) -> int:
-        """The hash over all settings, computed once."""
+        """The hash of all settings, computed only once."""
         return hash(tuple(getattr(self, part.name) for part in fields(self)))
 
     def __hash__(self) -> int:  # stored: admission asks for it several times a scenario
@@ -390,10 +403,10 @@ class Settings:
 
     @cached_property
     def steady(self) -> Settings:
-        """These settings, with a hand sensor that has no noise and no delay.
+        """A copy of these settings, in which the hand sensor has no noise and no delay.
 
-        Spaces vary noise and delay.  So a computation that ignores both can reuse its result for all
-        scenarios of a space.
+        The scenarios of a space may differ in noise and delay.  Therefore a computation that ignores noise
+        and delay can reuse its result for all scenarios of a space.
         """
         hand_sensor = replace(
             self.hand_sensor,

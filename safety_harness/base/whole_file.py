@@ -1,4 +1,4 @@
-"""Writing of files that exist complete or not at all, and the hash of a file."""
+"""Write files so that a file is either complete or absent, and compute the hash of a file."""
 
 from __future__ import annotations
 
@@ -12,17 +12,21 @@ from safety_harness.base.exceptions import OutputError
 
 
 def sha256_of(file: Path) -> str:
-    """Return the SHA-256 of a file's bytes, read piece by piece; OSError if the file cannot be read."""
+    """Return the SHA-256 of a file's bytes.
+
+    The file is read in pieces.  Raise OSError if it cannot be read.
+    """
     with file.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a path beside ``path`` to write to; at the end of the block the new file replaces ``path``.
+    """Yield a temporary path beside ``path``, to which the caller writes.
 
-    The old file stays until the new file is completely on disk.  If the block raises an exception, the old
-    file stays and the new file is removed.  Missing folders are created.  Raises OSError.
+    At the end of the block, the new file replaces ``path``.  The old file remains until the new file is
+    completely on disk.  If the block raises an exception, the old file remains and the new file is removed.
+    Missing folders are created.  Raises OSError.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
@@ -38,7 +42,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write ``text`` to ``path`` as UTF-8, completely or not at all.  Raises OSError."""
+    """Write ``text`` to ``path`` in UTF-8, either completely or not at all.  Raises OSError."""
     with (
         replacing(path) as part,
         part.open("w", encoding="utf-8", errors="backslashreplace", newline="\n") as file,
@@ -56,6 +60,6 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write ``text`` to ``path`` like ``write_whole``, but raise OutputError if writing fails."""
+    """Write ``text`` to ``path`` as ``write_whole`` does, but raise OutputError if writing fails."""
     with writing(path):
         write_whole(path, text)

@@ -1,4 +1,7 @@
-"""Reduce the meshes of an arm to few triangles for pictures; distances use the arm's capsules instead."""
+"""Reduce the meshes of an arm to few triangles, for pictures only.
+
+Distances are computed from the arm's capsules, and not from the meshes.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +25,15 @@ Triangles = NDArray[np.float64]  # (n, 3, 3) corners [m]
 
 @lru_cache(maxsize=16)
 def arm_meshes(arm: ArmModel) -> dict[str, Any] | None:
-    """Return the packed triangles of all links that have binary STL or OBJ meshes; None without meshes.
+    """Return the packed triangles of all links that have binary STL or OBJ meshes.
 
-    The result omits meshes that cannot be read; for such a link, the viewer draws the capsules.
+    The result is None if there are no such meshes. The result is also None if the triangles cannot be reduced
+    to the allowed number. The result omits meshes that cannot be read. For a link without a readable mesh,
+    the viewer draws the capsules.
     """
     by_link: dict[int, Triangles] = {}
     for link in arm.links:
+        # Collision meshes have fewer triangles in most models.
         shapes = [shape for shape in link.collision or link.visual if shape.kind == "mesh"]
         parts = [part for part in map(_triangles, shapes) if len(part)]
         if parts:
@@ -42,7 +48,10 @@ def arm_meshes(arm: ArmModel) -> dict[str, Any] | None:
 
 
 def packed_meshes(meshes: dict[int, tuple[NDArray[np.float64], NDArray[np.int64]]]) -> dict[str, Any] | None:
-    """Return each link's corners (v, 3) [m] and faces (n, 3) in the viewer's form; None without meshes."""
+    """Return each link's corners (v, 3) [m] and faces (n, 3) in the form that the viewer reads.
+
+    The result is None without meshes.
+    """
     columns: dict[str, NDArray[Any]] = {}
     for link, (corners, faces) in meshes.items():
         columns |= {f"corners {link}": corners, f"faces {link}": faces}
@@ -50,7 +59,9 @@ def packed_meshes(meshes: dict[int, tuple[NDArray[np.float64], NDArray[np.int64]
 
 
 def clustered(corners: Triangles, cell_m: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Merge the corners within each cell of a grid into their mean; return corners (v, 3) and faces (n, 3).
+    """Merge the corners within each cell of a grid into their mean.
+
+    Return the corners (v, 3) and the faces (n, 3).
 
     Args:
         corners: the triangles (n, 3, 3) [m].
@@ -59,20 +70,26 @@ def clustered(corners: Triangles, cell_m: float) -> tuple[NDArray[np.float64], N
     """
     points = corners.reshape(-1, 3)
     cells = np.floor((points - points.min(axis=0)) / cell_m)
+    # One number for each cell, whose digits are the cell's three indices.
     keys = cells @ (1.0 + cells.max()) ** np.arange(3.0)
     _, index, count = np.unique(keys, return_inverse=True, return_counts=True)
     sums = np.stack([np.bincount(index, weights=axis) for axis in points.T], axis=1)
     faces = index.reshape(-1, 3)
+    # A face whose corners were merged has no area.
     whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
     first = faces[whole].argmin(axis=1)[:, None]  # least corner first, so that equal faces match
     turned = np.take_along_axis(faces[whole], (first + np.arange(3)) % 3, axis=1)
+    # One number for each face, so that faces that became equal are kept once.
     code = np.unique(turned @ len(count) ** np.arange(3)[::-1])
     faces = np.stack([code // len(count) ** 2, code // len(count) % len(count), code % len(count)], axis=1)
     return np.round(sums / count[:, None], 4), faces.astype(np.int64)
 
 
 def _triangles(shape: Shape) -> Triangles:
-    """Return a mesh's triangles in its link's frame; empty if the file is broken or of another kind."""
+    """Return a mesh's triangles in its link's frame.
+
+    The array is empty if the file is broken or of another kind.
+    """
     file = shape.file or Path()
     try:
         read = {".stl": _stl, ".obj": _obj}.get(file.suffix.lower())
@@ -84,6 +101,7 @@ def _triangles(shape: Shape) -> Triangles:
 
 
 def _stl(file: Path) -> Triangles:
+    # A binary STL begins with a header of 80 bytes and the number of triangles in 4.
     records = np.frombuffer(file.read_bytes()[84:], STL)  # ValueError for a text STL, by its length
     return records["corners"].astype(np.float64)
 
@@ -98,4 +116,5 @@ def _obj(file: Path) -> Triangles:
             corners = [int(text.split("/")[0]) for text in fields]
             faces += [(corners[0], *pair) for pair in pairwise(corners[1:])]
     index = np.array(faces, np.int64).reshape(-1, 3)
+    # OBJ counts corners from 1; negative numbers count from the end.
     return np.array(points).reshape(-1, 3)[np.where(index > 0, index - 1, index)]

@@ -1,4 +1,4 @@
-"""Provide ``safety_harness.attribute``, which attributes violations to ingredients, and draw its result."""
+"""Provide ``safety_harness.attribute``, which attributes violations to ingredients, and draw its results."""
 
 from __future__ import annotations
 
@@ -61,21 +61,26 @@ def attribute(
 
     The result reports each change after which the run no longer violates the claim.
 
-    Ctrl-C ends the job; the result then keeps the finished attributions.
+    Ctrl-C ends the job, and the result then contains the attributions that were finished.
 
     Args:
         runs: One or several inputs: a result of ``run``, a trace or its file, a scenario or its file, or a
             folder.
-        avoider: The avoider of a trace, which you name again because the harness executes its program.
-        controller: The controller of a trace, which you name again for the same reason.
-        safety_filter: The safety filter of a trace, which you name again for the same reason.
-        predictor: The predictor of a trace, which you name again for the same reason.
-        confirm: Whether to repeat in PyBullet each violation, and each run with the blamed parts changed.
-        world: The world of the replays, such as the user's simulator. None: the kinematic world.
+        avoider: The avoider with which a trace is repeated. The harness executes an avoider's program only if
+            the caller states the avoider.
+        controller: The controller with which a trace is repeated. The harness executes a controller's program
+            only if the caller states the controller.
+        safety_filter: The safety filter with which a trace is repeated. The harness executes a filter's
+            program only if the caller states the filter.
+        predictor: The predictor with which a trace is repeated. The harness executes a predictor's program
+            only if the caller states the predictor.
+        confirm: Whether to repeat each violation in PyBullet, both unchanged and with the blamed parts
+            changed.
+        world: The world of the replays, such as the user's simulator. The default is the kinematic world.
         output: The ``Output`` that shows the progress.
 
     Raises:
-        InputErrors: Inputs cannot be used; in this case no run was repeated.
+        InputErrors: Inputs cannot be used. In this case, no run was repeated.
         InputError: An option cannot be used, or the world is not installed.
 
     """
@@ -136,7 +141,10 @@ class AttributionResult:
         return self.tally.as_json()
 
     def write(self, folder: str | Path) -> AttributionResult:
-        """Write attribution.json and attribution.svg; raise OutputError if the folder cannot be written."""
+        """Write attribution.json and attribution.svg.
+
+        Raise OutputError if the folder cannot be written.
+        """
         write_text(Path(folder) / DATA, json.dumps(self.data(), indent=1) + "\n")
         drawn = standalone(draw_attributions(self.tally.groups), style=asset("report.css"))
         write_text(Path(folder) / PICTURE, drawn)
@@ -151,10 +159,10 @@ def attribute_all(
     output: Output,
     replays: ReplaysInWorld = KINEMATIC_REPLAYS,
 ) -> AttributionResult:
-    """Attribute the violations of runs and print the result, until all are done or Ctrl-C is pressed.
+    """Attribute the violations of runs and print the results, until all runs are done or Ctrl-C is pressed.
 
     Args:
-        runs: Each run with the claims to attribute; an empty list stands for all claims of the run.
+        runs: Each run with the claims to attribute. An empty list means all claims of the run.
         count: The number of runs, which the progress display shows.
         unit: The word for one run in the progress display.
         confirm: Whether each attribution is repeated in PyBullet.
@@ -189,7 +197,10 @@ def attribute_all(
 
 
 def _lines(cause: Attribution, confirming: Admitted | None) -> Iterator[str]:
-    """Yield the line on one violation; if ``confirming`` is given, also the lines on PyBullet's runs."""
+    """Yield the line on one violation.
+
+    If ``confirming`` is given, also yield a line on each run in PyBullet.
+    """
     yield f"{cause.scenario}: {cause.claim.sentence}: {cause.unit.margin_text(cause.margin)}: {cause.summary}"
     if confirming is not None and cause.answer is not AttributionAnswer.NOT_ATTRIBUTED:
         yield from (f"    {confirming_line(again, cause)}" for again in confirmed(confirming, cause))
@@ -200,7 +211,7 @@ def _scenarios(
 ) -> tuple[list[Scenario], list[InputError]]:
     """Return the scenarios to repeat, and the errors.
 
-    The scenario of a trace keeps only the claims that the trace violates.
+    The scenario of a trace contains only the claims that the trace violates.
     """
     given = list(runs) if isinstance(runs, Iterable) and not isinstance(runs, str) else [runs]
     kept: list[tuple[Trace, Path | None]] = []
@@ -221,6 +232,7 @@ def _scenarios(
     for folder in (path for path in paths if path.is_dir()):
         own, stored = sorted(folder.glob("*.yaml")), sorted(folder.rglob(f"*{TRACE}"))
         files += own
+        # A trace beside its scenario is of the same run, so the scenario suffices.
         traces += [path for path in stored if path.with_suffix(".yaml") not in own]
         if not (own or stored):
             expected = f"a folder with scenario files (*.yaml) or traces (*{TRACE})"

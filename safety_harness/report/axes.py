@@ -1,8 +1,9 @@
-"""Draw plots as SVG in the page's colours: axes with round ticks, curves, bars, marks, text and a key.
+"""Draw plots as SVG in the page's colours.
 
-Axes may grow until the picture is written, because the module computes all positions only then.  Positions
-are pixels of the picture with one decimal, and y points downwards.  A value that is not finite leaves a gap.
-Curves end at the edges of their axes; marks and texts outside the axes are omitted.
+A plot has axes with ticks at round values, curves, bars, marks, texts and a key. The module computes all
+positions when the picture is written, so that axes can be extended until then. Positions are pixels of the
+picture with one decimal, and y points downwards. A value that is not finite leaves a gap. Curves end at the
+edges of their axes. Marks and texts outside the axes are omitted.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ _FAR_PX, _LARGEST = 9e4, 1e300  # values beyond these limits are drawn at the li
 _ROUNDED_PX = 0.1
 _MOST_PLACES = 20  # a path with more places is written as relative steps
 _LEADING_ZERO = re.compile(r"(^|[ -])0(?=\.)")
-_ROUND = (1.0, 2.0, 2.5, 5.0, 10.0)
-_HALF_DIAGONAL = 0.5 * 2.0**0.5
+_ROUND = (1.0, 2.0, 2.5, 5.0, 10.0)  # round steps, times a power of ten
+_HALF_DIAGONAL = 0.5 * 2.0**0.5  # of a square whose side is the size of the mark
 _SHAPES = {  # strokes from point to point, in sizes of the mark
     "x": (((-0.5, -0.5), (0.5, 0.5)), ((-0.5, 0.5), (0.5, -0.5))),
     "+": (((-0.5, 0.0), (0.5, 0.0)), ((0.0, -0.5), (0.0, 0.5))),
@@ -47,12 +48,16 @@ Key = Callable[[Element, float, float], None]  # draws a sample about a place (x
 
 
 class Share(float):
-    """A position along an axis, as a share of its length in place of a value."""
+    """A position along an axis, given as a fraction of the axis's length instead of a value."""
 
 
 @dataclass
 class Axis:
-    """One direction of axes, with given ``ticks`` (value, label) or with at most ``steps`` round ticks."""
+    """One axis of a plot.
+
+    An axis has the given ``ticks`` (value, label) or, by default, at most ``steps`` + 1 ticks at round
+    values.
+    """
 
     start_px: float
     length_px: float  # negative if the axis points upwards
@@ -69,7 +74,10 @@ class Axis:
     _shown: tuple[float, float] | None = None
 
     def see(self, values: ArrayLike) -> Floats:
-        """Return ``values`` (n,), and extend the view to them unless ``show`` has fixed the view."""
+        """Extend the view to include ``values`` (n,), and return them as an array.
+
+        If ``show`` has fixed the view, the view stays the same.
+        """
         array = np.asarray(values, dtype=np.float64)
         finite = np.clip(array[np.isfinite(array)], -_LARGEST, _LARGEST)
         low, high = self._seen
@@ -105,7 +113,7 @@ class Axis:
         return places
 
     def at(self, value: float) -> float:
-        """Return the position [px] of one value, or of a ``Share`` of the axis."""
+        """Return the position [px] of a value on the axis, or of a ``Share`` of the axis's length."""
         if isinstance(value, Share):
             return self.start_px + self.length_px * value
         return float(self.place([value])[0])
@@ -129,22 +137,32 @@ class Axis:
 
 
 def round_values(low: float, high: float, steps: int) -> list[float]:
-    """Return the multiples of a round step between ``low`` and ``high``, which are at most ``steps`` + 1."""
+    """Return all multiples of a round step between ``low`` and ``high``.
+
+    The step is so large that there are at most ``steps`` + 1 multiples.
+    """
     least = max((high - low) / steps, 1e-300)
     power = 10.0 ** np.floor(np.log10(least))
+    # The tolerances keep a multiple that rounding has moved slightly beyond an end.
     step = next(power * factor for factor in _ROUND if power * factor >= least * (1.0 - 1e-9))
     first, last = np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9)
     return [float(f"{k * step:.12g}") + 0.0 for k in np.arange(first, last + 1.0)]
 
 
 def stairs(x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
-    """Return the step curve that keeps each of ``y`` (n,) until the next of ``x`` (n,)."""
+    """Return the corners of a step curve.
+
+    Each value of ``y`` (n,) applies from its ``x`` (n,) until the next ``x``.
+    """
     return np.repeat(np.asarray(x, np.float64), 2)[1:], np.repeat(np.asarray(y, np.float64), 2)[:-1]
 
 
 @dataclass
 class Axes:
-    """A rectangular plot in which ``x`` increases to the right and ``y`` upwards."""
+    """A rectangular plot.
+
+    The values of ``x`` increase to the right, and the values of ``y`` increase upwards.
+    """
 
     x: Axis
     y: Axis
@@ -225,7 +243,10 @@ class Axes:
         opacity: float = 1.0,
         hatched: bool = False,
     ) -> None:
-        """Draw rectangles that extend from x to x + length, between the two heights ``y``."""
+        """Draw a rectangle for each span (x, length).
+
+        A rectangle extends from x to x + length, and between the two heights in ``y``.
+        """
         corners = [([x, x + length, x + length, x], [y[0], y[0], y[1], y[1]]) for x, length in spans]
         self.y.see(y)
         style = _style(ink, None, 0.0, opacity)
@@ -269,7 +290,7 @@ class Axes:
             self._keys.append((name, lambda root, x, y: _path(root, _mark(shape, size, x, y), style)))
 
     def key(self, name: str, ink: Ink) -> None:
-        """Add an item to the key: a coloured box, for drawn items that have no name of their own."""
+        """Add an item with a coloured box to the plot's key, for items that were drawn without a name."""
         self._keys.append(
             (name, lambda root, x, y: _path(root, f"M{x - 9:g} {y - 4:g}h18v8h-18z", _style(ink)))
         )
@@ -285,7 +306,10 @@ class Axes:
         ink: Ink = Ink.TEXT,
         size: float = FONT_PX,
     ) -> None:
-        """Write ``label`` at (x, y); each coordinate is a value or a ``Share``."""
+        """Write ``label`` at (x, y).
+
+        Each coordinate is a value on its axis, or a ``Share`` of the axis's length.
+        """
 
         def draw(root: Element, _: str) -> None:
             place = self.x.at(x), self.y.at(y)
@@ -298,7 +322,10 @@ class Axes:
     def title(
         self, label: str, *, anchor: str = "start", lift: float = 8.0, bold: bool = True, ink: Ink = Ink.TEXT
     ) -> None:
-        """Write ``label`` in a line ``lift`` pixels above the axes, aligned with their start or end."""
+        """Write ``label`` on a line above the axes, aligned with the start or end of the axes.
+
+        The line is ``lift`` pixels above the axes.
+        """
 
         def draw(root: Element, _: str) -> None:
             x, y = self.x.ends_px()[int(anchor == "end")], self.y.ends_px()[1] - lift
@@ -324,7 +351,10 @@ class Axes:
             self._above.append(draw)
 
     def fit(self, low: ArrayLike, high: ArrayLike) -> None:
-        """Show at least the rectangle from ``low`` to ``high`` (2,), at the same scale in both directions."""
+        """Choose a view that shows the rectangle from corner ``low`` to corner ``high`` (2,).
+
+        Both directions have the same scale.
+        """
         room_px = np.abs([self.x.length_px, self.y.length_px])
         low, high = np.asarray(low), np.asarray(high)
         half = 0.5 * room_px * float(np.max((high - low) / room_px))
@@ -332,7 +362,10 @@ class Axes:
             axis.show(centre - size, centre + size)
 
     def draw(self, root: Element, clip: str) -> None:
-        """Draw the axes and their content; ``clip`` is the id of the area within the edges."""
+        """Draw the axes and their content.
+
+        ``clip`` is the id of the area within the edges.
+        """
         (left, right), (bottom, top) = self.x.ends_px(), self.y.ends_px()
         edges = np.array([left - 1.0, right + 1.0, right + 1.0, left - 1.0])
         heights = np.array([bottom + 1.0, bottom + 1.0, top - 1.0, top - 1.0])
@@ -358,7 +391,10 @@ class Axes:
             item(root, f"url(#{clip})")
 
     def _along(self, axis: Axis, at_px: float, down_px: float, right_px: float) -> str:
-        """Return the path of a short line from the edge of the axes at a tick of ``axis``."""
+        """Return the SVG path of a tick mark of ``axis``.
+
+        A tick mark is a short line that begins at the edge of the axes.
+        """
         if axis is self.x:
             return f"M{_short(at_px)} {_short(self.y.start_px)}v{_short(down_px)}"
         return f"M{_short(self.x.start_px)} {_short(at_px)}h{_short(right_px)}"
@@ -377,7 +413,7 @@ class Picture:
         return self._axes[-1]
 
     def svg(self, *, prefix: str, title: str, description: str) -> str:
-        """Return an ``<svg>`` element for a page, or for ``standalone``.
+        """Return the drawing as an ``<svg>`` element, for a page or for the function ``standalone``.
 
         Args:
             prefix: The text with which every id starts.
@@ -395,7 +431,10 @@ class Picture:
 
 
 def text_px(text: str) -> float:
-    """Return the approximate width [px] of a text at ``FONT_PX``, rather too large than too small."""
+    """Return an estimate of the width [px] of a text in the font size ``FONT_PX``.
+
+    The estimate tends to be too large.
+    """
     return FONT_PX * sum(
         1.0
         if unicodedata.east_asian_width(letter) in "WF"
@@ -420,6 +459,7 @@ def _strokes(x: Floats, y: Floats, *, closed: bool = False) -> str:
     """
     places = np.round(np.column_stack([x, y]), 1)
     places = np.where(np.isfinite(places), np.clip(places, -_FAR_PX, _FAR_PX) + 0.0, np.nan)
+    # First drop repeated positions, which would hide that a point lies between its neighbours.
     places = np.delete(places, 1 + np.flatnonzero((np.diff(places, axis=0) == 0.0).all(axis=1)), axis=0)
     across, rise = np.diff(places, axis=0).T
     along = (rise[1:] == 0.0) & (rise[:-1] == 0.0) & (across[1:] * across[:-1] > 0.0)
@@ -436,10 +476,11 @@ def _strokes(x: Floats, y: Floats, *, closed: bool = False) -> str:
 
 
 def _straightened(places: Floats) -> Floats:
-    """Return ``places`` (n, 2) [px] without those on a straight line between two kept places.
+    """Return ``places`` (n, 2) [px] without the points on a straight line between two retained points.
 
-    The tolerance is the rounding of positions, and the line must not turn back.  After each kept place,
-    the function drops the next places while they lie within a cone (Reumann and Witkam, 1974).
+    The tolerance is the rounding of positions. A point where the path turns back is retained. After each
+    retained point, the function drops the following points while they lie within a cone (Reumann and Witkam,
+    1974).
     """
     if len(places) <= _MOST_PLACES:
         return places
@@ -449,6 +490,7 @@ def _straightened(places: Floats) -> Floats:
         away = math.hypot(a - x, b - y)
         bearing = math.atan2(b - y, a - x)
         turned = math.remainder(bearing - ahead, math.tau) if ahead == ahead else 0.0
+        # The path turns back or leaves the cone: keep the previous point, and begin a new cone there.
         if away < reached or not least <= turned <= most:
             kept.append(k - 1)
             x, y = places[k - 1].tolist()
@@ -457,6 +499,7 @@ def _straightened(places: Floats) -> Floats:
         reached = away
         if away > _ROUNDED_PX:
             ahead = bearing if ahead != ahead else ahead
+            # The bearings of lines that pass this point within the tolerance narrow the cone.
             spread = math.asin(_ROUNDED_PX / away)
             least, most = max(least, turned - spread), min(most, turned + spread)
     corners: Floats = places[[*kept, len(places) - 1]]
@@ -464,7 +507,10 @@ def _straightened(places: Floats) -> Floats:
 
 
 def _path_words(places: Floats) -> str:
-    """Return the SVG path through ``places`` (n, 2) [px]; a long path as relative steps, to save digits."""
+    """Return the SVG path through ``places`` (n, 2) [px].
+
+    A long path uses relative steps, which need fewer digits.
+    """
     if len(places) <= _MOST_PLACES:
         return "M" + " ".join([f"{a:g} {b:g}" for a, b in places.tolist()])
     steps = " ".join([f"{step:g}" for step in np.round(np.diff(places, axis=0), 1).ravel() + 0.0])

@@ -1,4 +1,4 @@
-"""Write the verdicts for reviewers of a change: SARIF for the lines of its files, Markdown for a summary."""
+"""Write the verdicts for code review: SARIF for remarks on lines of files, and Markdown for a summary."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ MOST_TESTED = 3  # systems under test that a summary names
 
 
 def write_for_ci(folder: Path, runs: Sequence[JudgedRun]) -> None:
-    """Write ``summary.md`` and ``report.sarif`` into ``folder``; raise OSError if that fails."""
+    """Write ``summary.md`` and ``report.sarif`` into ``folder``.
+
+    Raise OSError if the writing fails.
+    """
     write_whole(folder / SUMMARY, markdown(runs))
     write_whole(folder / SARIF, json.dumps(sarif(runs), indent=1) + "\n")
 
@@ -33,7 +36,7 @@ def write_for_ci(folder: Path, runs: Sequence[JudgedRun]) -> None:
 def _reported(runs: Sequence[JudgedRun]) -> Iterator[tuple[JudgedRun, Claim, Evaluation, bool]]:
     """Yield all unexpected verdicts, then the expected violations.
 
-    The last item of each tuple tells whether the verdict is as expected.
+    The last item of each tuple states whether the verdict is as expected.
     """
     for wanted in (False, True):
         for run in runs:
@@ -43,7 +46,10 @@ def _reported(runs: Sequence[JudgedRun]) -> Iterator[tuple[JudgedRun, Claim, Eva
 
 
 def markdown(runs: Sequence[JudgedRun]) -> str:
-    """Return a job's summary in Markdown: the answer, and a table of unexpected verdicts and violations."""
+    """Return a job's summary in Markdown.
+
+    The summary has the overall result and a table of unexpected verdicts and violations.
+    """
     rows = list(_reported(runs))
     lines = [f"### {answer(runs)}", ""]
     if rows:
@@ -82,8 +88,8 @@ def _cell(text: str) -> str:
 def sarif(runs: Sequence[JudgedRun]) -> dict[str, Any]:
     """Return SARIF 2.1.0 with a result for each unexpected verdict and for each violation.
 
-    Each result points to the line of its claim.  An unexpected verdict has the level "error", an expected
-    violation the level "note".
+    Each result refers to the line of its claim. An unexpected verdict has the level "error", and an expected
+    violation has the level "note".
     """
     rows = list(_reported(runs))
     rules = dict.fromkeys(claim.sentence for _, claim, _, _ in rows)

@@ -1,4 +1,7 @@
-"""A second process that compiles what a first run needs last, while the run compiles from the beginning."""
+"""Speed up the first run with a second process, which compiles the run's functions in reverse order.
+
+Meanwhile, the run itself compiles them in their normal order.
+"""
 
 from __future__ import annotations
 
@@ -68,10 +71,11 @@ hands:
 
 @dataclass
 class SecondProcess:
-    """A watcher that starts the second process when this process compiles the first function of many.
+    """A watcher that starts the second process at the first compilation in this process.
 
-    It starts none where the cache has the code of a control cycle.  With a single processor, the second
-    process only finds out what a run needs.  It ends with this one.
+    The watcher starts no process if the cache already has the code of a control cycle. On a computer with a
+    single processor, the second process compiles no functions and only lists the functions that a run needs.
+    The second process ends when this process ends.
     """
 
     _checked: bool = False
@@ -79,19 +83,25 @@ class SecondProcess:
     _needed: list[Path] | None = None  # the cache files that a brief run needs; None until they are known
 
     def __call__(self, now: Compilation) -> None:
-        """Start the process at the first call, if it can help; this method is one of the ``watchers``."""
+        """Start the second process at the first compilation, unless the cache cannot be written.
+
+        The list ``watchers`` contains this object, so that each compilation calls this method.
+        """
         if not now.unwritable:
             self.start_if_cold()
 
     def start_if_cold(self) -> None:
-        """Start the process unless this was asked before, or the cache has the code of a control cycle."""
+        """Start the process at the first call, unless the cache already has the code of a control cycle."""
         if not self._checked:
             self._checked = True
             if sys.executable and _is_cold():
                 self._process = _start()
 
     def finished_part(self) -> tuple[int, int] | None:
-        """Return how many functions of a brief run the cache has, and how many there are; None if unknown."""
+        """Return how many functions of a brief run are in the cache, and how many functions the run needs.
+
+        The result is None if the functions are not known yet.
+        """
         if self._process is not None and self._needed is None:
             self._needed = _needed_by(self._process)
         if self._needed is None:
@@ -100,8 +110,9 @@ class SecondProcess:
 
 
 def _needed_by(process: subprocess.Popen[str]) -> list[Path] | None:
-    """Return the files that the second process names in its first line; None before that."""
+    """Return the files that the second process lists in its first line, or None if the line is incomplete."""
     assert process.stdout is not None
+    # Do not wait: the progress display asks again later.
     ready, _, _ = select([process.stdout], [], [], 0.0)
     line = process.stdout.readline() if ready else ""
     whole = line.endswith("\n")  # the process may have ended within the line
@@ -109,7 +120,10 @@ def _needed_by(process: subprocess.Popen[str]) -> list[Path] | None:
 
 
 def _is_cold() -> bool:
-    """Return whether the cache lacks the code of a control cycle, which a run needs after much else."""
+    """Return whether the cache lacks the code of a control cycle.
+
+    A run compiles this code late, after most other functions.
+    """
     from safety_harness.base.compiled import PACKAGE, cache_folder, installed_folder
 
     cycle = PACKAGE / "cell" / "controller" / "cycle.py"
@@ -117,7 +131,10 @@ def _is_cold() -> bool:
 
 
 def _start() -> subprocess.Popen[str] | None:
-    """Start the second process, which ends with this one; None if the system refuses."""
+    """Start and return the second process, or return None if the system refuses to start it.
+
+    The second process ends when this process ends.
+    """
     with suppress(OSError):
         process = subprocess.Popen(
             [sys.executable, "-c", PROGRAM.format(path=sys.path)],
@@ -138,9 +155,10 @@ def _end(process: subprocess.Popen[str]) -> None:
 
 
 def main() -> None:
-    """Print what a brief run needs, then compile this and more, until the first process ends.
+    """Print the cache files of a brief run, then compile the functions of this run and of further runs.
 
-    Each part is compiled from its last call to its first, because the first process begins at the first.
+    The process ends when its parent process ends. The functions of each run are compiled in reverse order of
+    their calls, because the parent process compiles them in their normal order.
     """
     Thread(target=_end_with_parent, daemon=True).start()
     parent = os.getppid()
@@ -178,7 +196,7 @@ def _run(text: str) -> RunResult:
 
 
 def _judge_all(results: Sequence[RunResult]) -> None:
-    """Judge the runs of some results by every claim of the catalogue."""
+    """Judge the runs of some results by all claims of the catalogue."""
     from safety_harness.claims.properties.catalogue import CATALOGUE
 
     for judged in (run for result in results for run in result.runs):
@@ -188,6 +206,6 @@ def _judge_all(results: Sequence[RunResult]) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this process when its input ends, as it does with the process that started it."""
+    """End this process when its input closes, which happens when the parent process ends."""
     os.read(0, 1)
     os._exit(0)

@@ -1,8 +1,9 @@
-"""Draw the coverage of a set of runs: a square for each cell, which is larger for more runs.
+"""Draw the coverage of a set of runs as a map.
 
-The map has 1,536 cells.  A row combines a direction and a speed.  A column combines a distance, an outcome,
-and whether the avoider's training data cover hand and TCP.  A cell with violations has another colour and
-also a frame, so that colour is never the only sign.  The picture depends only on the counts.
+A cell with more runs has a larger square. The map has 1,536 cells. A row combines a direction and a speed. A
+column combines a distance, an outcome, and a class of coverage. The class states whether the avoider's
+training data cover the positions of the hand and the TCP. A cell with violations differs by its colour and
+also by a frame, so that colour is never the only sign. The picture depends only on the counts.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from safety_harness.search.coverage import (
     CoverageCell,
 )
 
-CELL_PX, LEFT_PX, TOP_PX, RIGHT_PX, BELOW_PX = 12, 152, 158, 54, 94
+CELL_PX, LEFT_PX, TOP_PX, RIGHT_PX, BELOW_PX = 12, 152, 158, 54, 94  # the margins hold the labels and the key
 GAPS_PX = {"direction": 7, "distance": 10, "seen": 3}  # before each group but the first
 SIZES_PX = (3, 5, 7, 9, 11)  # of squares, by decades
 CLASSES = ("1", "2 to 9", "10 to 99", "100 to 999", "1,000 and more")
@@ -73,7 +74,7 @@ def coverage_map(
 
     Args:
         coverage: The number of runs in each cell.
-        violations: The number of runs with a violation in each cell; ``coverage`` includes these runs.
+        violations: The number of runs with a violation in each cell. ``coverage`` must include these runs.
         prefix: The text with which every id starts.
         title: The title for a screen reader.
 
@@ -100,7 +101,10 @@ def _place(cell: CoverageCell) -> tuple[int, int]:
 
 
 def _draw_empty(root: Element, coverage: Coverage) -> None:
-    """Draw a dot in every cell without a run; one path contains all dots."""
+    """Draw a dot in every cell without a run.
+
+    A single path contains all dots.
+    """
     middle = CELL_PX // 2
     dots = [f"M{x + middle} {y + middle}h0" for x, y in map(_place, coverage.holes)]
     attributes = {"stroke": _colour(Ink.MISSING), "stroke-width": "2", "stroke-linecap": "round"}
@@ -115,8 +119,12 @@ def _draw_cell(parent: Element, cell: CoverageCell, count: int, violated: int) -
 
 
 def _draw_square(parent: Element, size_px: int, where: tuple[int, int], *, violated: bool) -> None:
-    """Draw a square in the middle of a cell; add a frame to the cell if a run violated a claim there."""
+    """Draw a square in the middle of a cell.
+
+    If a run violated a claim in this cell, add a frame to the cell.
+    """
     ink = _colour(Ink.LIMIT if violated else Ink.TCP)
+    # Leave a gap between the square and its frame.
     size_px = min(size_px, CELL_PX - 5) if violated else size_px
     inset = (CELL_PX - size_px) / 2
     attributes = {"x": f"{where[0] + inset:g}", "y": f"{where[1] + inset:g}", "fill": ink}
@@ -183,7 +191,7 @@ def _text(
 ) -> None:
     """Write ``label`` at (x, y) [px].
 
-    ``named`` are SVG attributes; a ``_`` in a name stands for a hyphen.
+    ``named`` has further SVG attributes. In their names, ``_`` replaces the hyphen.
     """
     attributes = {"x": f"{x:g}", "y": f"{y:g}", "fill": _colour(ink), "font-size": f"{size:g}"}
     attributes |= {name.replace("_", "-"): value for name, value in named.items()}
@@ -195,7 +203,7 @@ def _label(parent: Element, x: float, y: float, label: str, **attributes: str) -
 
 
 def _upright(parent: Element, left: float, y: float, label: str, **attributes: str) -> None:
-    """Write ``label`` upright in a column, to be read from bottom to top."""
+    """Write ``label`` vertically in a column, so that it reads from bottom to top."""
     _label(parent, left + 10, y, label, transform=f"rotate(-90 {left + 10:g} {y:g})", **attributes)
 
 

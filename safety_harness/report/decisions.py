@@ -1,6 +1,7 @@
-"""Describe the decisions of a run: the question, the outcome, and the computing time.
+"""Describe the decisions of a run: the query, the outcome, and the computing time.
 
-The computing time is the cost of decisions in simulated time, and their duration on the run's machine.
+There are two computing times: the time that decisions cost in the simulation, and the real time that they
+took on the computer.
 """
 
 from __future__ import annotations
@@ -58,9 +59,9 @@ class DecisionRow:
 class DecisionTally:
     """The number of decisions, and how often each outcome occurred.
 
-    ``faults`` counts the decisions without a usable answer.  ``unanswered`` counts those ``faults`` that no
-    fault of the scenario explains.  The tally leaves out traces that did not measure their decisions (see
-    ``are_counted``).
+    ``faults`` counts the decisions without a usable answer. ``unanswered`` counts the ``faults`` that no
+    fault of the scenario explains. The tally omits traces for which ``are_counted`` returns False, because
+    their decisions were not measured.
     """
 
     made: int
@@ -72,7 +73,7 @@ class DecisionTally:
 
     @classmethod
     def from_traces(cls, traces: Iterable[Trace]) -> DecisionTally:
-        """Count the decisions of all ``traces`` together."""
+        """Return the counts of decisions, summed over all ``traces``."""
         counts: Counter[int] = Counter()
         faults = missing = 0
         for trace in filter(are_counted, traces):
@@ -90,17 +91,20 @@ class DecisionTally:
 
     @property
     def fallback(self) -> str:
-        """Return how often the fallback replaced the avoider, for headlines; empty if it never did."""
+        """Return a headline on how often the fallback replaced the avoider.
+
+        The headline is empty if the fallback was never used.
+        """
         return fallback_words(self.unanswered, self.made)
 
     @property
     def fault_words(self) -> str:
-        """Return how often the avoider gave no usable answer; empty if it always gave one."""
+        """Return how often the avoider gave no usable answer, or an empty text if it always gave one."""
         return count_words(self.faults, "fault", "faults") if self.faults else ""
 
     @property
     def departures(self) -> list[str]:
-        """Return brief texts on the outcomes that differ from what the avoider proposed."""
+        """Return short texts that state how often a decision did not choose the avoider's proposal."""
         of_all = f"of {count_words(self.made, 'decision', 'decisions')}"
         events = (("fell back to the opposite pose", self.opposite), ("stopped the arm", self.stops))
         return [f"{count} {of_all} {event}" for event, count in events if count]
@@ -117,7 +121,7 @@ def avoiders(traces: Iterable[Trace]) -> list[tuple[str, int]]:
 
 
 def tested_words(traces: Iterable[Trace]) -> str:
-    """Return the heading above the names of ``avoiders``: ``Avoider``, ``Controllers``, or both."""
+    """Return the heading above the names of ``avoiders``, such as ``Avoider`` or ``Controllers``."""
     names = {trace.system.tested.name: trace.system.avoider is not None for trace in traces}
     kinds = [w for w, asks in (("Avoider", True), ("Controller", False)) if asks in names.values()]
     return " and ".join(kinds).capitalize() + "s" * (len(names) > 1)
@@ -133,7 +137,7 @@ def overruling_of_each(traces: Iterable[Trace]) -> dict[str, Overruling]:
 
 
 def overruling_lines(each: Mapping[str, Overruling]) -> list[str]:
-    """Return a line on all avoiders together, then one line for each avoider if there are several."""
+    """Return one line on all avoiders together and, if there are several, one line on each avoider."""
     whole = sum(each.values(), Overruling()).summary
     rows = [f"{name}: {row.summary}" for name, row in each.items() if len(each) > 1]
     return [whole, *rows] if whole else []
@@ -142,8 +146,7 @@ def overruling_lines(each: Mapping[str, Overruling]) -> list[str]:
 def decision_rows(trace: Trace) -> list[DecisionRow]:
     """Return a row for each of the first ``MOST_DECISION_ROWS`` decisions, with positions in mm.
 
-    A dash stands for a value that was not measured.  The list is empty if the decision times were not
-    measured.
+    A dash means that a value was not measured. The list is empty if the decision times were not measured.
     """
     if not decided(trace, "tick", "time_s"):
         return []
@@ -179,16 +182,17 @@ def decision_rows(trace: Trace) -> list[DecisionRow]:
 
 
 def failed_checks(trace: Trace) -> list[tuple[str, str]]:
-    """Return (name, meaning) of every check that some candidate of this run failed."""
+    """Return (name, meaning) of every check that any candidate of this run failed."""
     flags = trace.decisions["proposed_failed"] | trace.decisions["opposite_failed"]
     failed = int(np.bitwise_or.reduce(flags)) if len(flags) else 0
     return [(flag_words(check), CHECK_MEANINGS[check]) for check in Check if check and check & failed]
 
 
 def fault_notes(trace: Trace) -> list[str]:
-    """Return a sentence on each kind of unusable answer, in the order of their first occurrence.
+    """Return a sentence on each kind of unusable answer, in the order in which the kinds first occurred.
 
-    A sentence on answers that no arm reaches, perhaps in another unit than metres, comes first.
+    A further sentence comes first if every proposed position is too far away for any arm. A wrong unit may be
+    the cause.
     """
     decisions = trace.decisions
     counts = Counter(str(fault) for fault in decisions["fault"] if fault)
@@ -203,7 +207,7 @@ def fault_notes(trace: Trace) -> list[str]:
 
 
 def _far_words(trace: Trace) -> Iterator[str]:
-    """Yield a sentence if every proposed position is over ``FAR_M`` from the base."""
+    """Yield a sentence if every proposed position is more than ``FAR_M`` from the base."""
     proposed_m = trace.decisions["proposed_position_in_base_m"][answered(trace)]
     far_m = np.linalg.norm(proposed_m, axis=1)
     if len(far_m) and far_m.min() > FAR_M:
@@ -212,9 +216,9 @@ def _far_words(trace: Trace) -> Iterator[str]:
 
 
 def latency_words(trace: Trace) -> str:
-    """Return the median and the slowest decision by the wall clock; empty if no times were measured.
+    """Return the median and the longest measured time of a decision, or an empty text without measurements.
 
-    A replay neither repeats a question whose answer came too late, nor records a time for it.
+    A replay skips queries whose answers came too late, and records no time for these queries.
     """
     measured_s = trace.decision_latency_s[trace.decision_latency_s > 0.0]
     if len(measured_s) == 0:
@@ -227,7 +231,10 @@ def latency_words(trace: Trace) -> str:
 
 @dataclass(frozen=True)
 class ComputingTime:
-    """The computing time of a run: a decision's cost, in ``words``, and the duration of its answers."""
+    """The computing time of a run.
+
+    ``words`` states the cost of a decision. The other fields concern the durations of the answers.
+    """
 
     tested: str
     words: str
@@ -245,9 +252,10 @@ class ComputingTime:
 def cost_words(
     cost: DecisionCost | DecisionTimes, declared_s: float, decision_noun: str = "a decision"
 ) -> str:
-    """Return the cost of a decision by the settings, or ``declared_s`` [s] if the avoider declares it.
+    """Describe the cost of a decision, which the settings state or the avoider declares.
 
-    ``decision_noun`` is the term for a decision, such as "an answer" of a controller.
+    ``declared_s`` [s] is the cost that the avoider declares. ``decision_noun`` is the word for a decision in
+    the text. For a controller, it is "an answer".
     """
     noun = decision_noun.rpartition(" ")[2]
     if cost is DecisionCost.WALL_CLOCK:
@@ -277,12 +285,15 @@ def computing_times(traces: Iterable[Trace]) -> list[ComputingTime]:
 
 
 def computing_time_lines(traces: Iterable[Trace]) -> list[str]:
-    """Return lines on the cost of each avoider and controller, and on those slower than their runs allow."""
+    """Return lines on the cost of each avoider and controller.
+
+    If answers took longer than the cost, a line states this.
+    """
     return lines_of(computing_times(traces))
 
 
 def lines_of(runs: Iterable[ComputingTime]) -> list[str]:
-    """Return the lines of ``computing_time_lines`` for computing times that are known already."""
+    """Return the lines of ``computing_time_lines`` from computing times that are already known."""
     groups: dict[tuple[str, str], AnswersTook] = {}
     for run in runs:
         key = run.tested, run.words
@@ -296,7 +307,7 @@ def lines_of(runs: Iterable[ComputingTime]) -> list[str]:
 
 
 def refused_for_possible(trace: Trace) -> int:
-    """Return how many proposals failed TOWARDS_A_HAND but lead away from every predicted hand."""
+    """Return how many proposals fail the check TOWARDS_A_HAND but lead away from every predicted hand."""
     count = 0
     for decision in trace.decisions:
         if decision["proposed_failed"] & Check.TOWARDS_A_HAND:
@@ -308,12 +319,15 @@ def refused_for_possible(trace: Trace) -> int:
 
 
 def asks_of_hands(trace: Trace) -> bool:
-    """Return whether the scenario's gate has a rule about possible hands."""
+    """Return whether the gate of the scenario has a rule about possible hand positions."""
     return trace.scenario.gate is not None and trace.scenario.gate.of_possible_hands
 
 
 def possible_lines(traces: Iterable[Trace]) -> list[str]:
-    """Return one line on all runs whose gate has a rule about possible hands; empty without such a gate."""
+    """Return one line on all runs whose gate has a rule about possible hands.
+
+    If there is no such run, the result is empty.
+    """
     ruled = [trace for trace in traces if asks_of_hands(trace)]
     if not ruled:
         return []

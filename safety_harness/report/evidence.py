@@ -1,4 +1,4 @@
-"""Define one judged run: a trace, the evaluation of each claim, and the command that repeats it."""
+"""Define a judged run, which has a trace, the evaluations of its claims, and the command that repeats it."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from safety_harness.trace.trace import Trace
 
 
 class AboutRuns(TypedDict, total=False):
-    """The facts of a report that concern all its runs together.
+    """The facts of a report that concern all runs of the report, and not a single run.
 
-    ``coverage`` counts how often each claim was exercised; it is given if more runs were judged than the
-    report shows.  ``skipped`` lists scenarios that an avoider cannot take, and ``refused`` the errors of
-    unusable inputs.  ``against`` holds the differences from a reference, and ``repeated`` the answers of a
-    second avoider.
+    ``coverage`` counts how often each claim was exercised. It is present if more runs were judged than the
+    report shows. ``skipped`` lists scenarios that an avoider does not support. ``refused`` lists the errors
+    of unusable inputs. ``against`` has the differences from a reference, and ``repeated`` has the answers of
+    a second avoider.
     """
 
     coverage: Sequence[ClaimTally] | None
@@ -41,7 +41,10 @@ _NOTHING: AboutRuns = {"coverage": None, "skipped": (), "refused": (), "against"
 
 
 def with_defaults(facts: AboutRuns) -> AboutRuns:
-    """Return ``facts`` with defaults for missing entries; raise TypeError for any other keyword."""
+    """Return ``facts`` with defaults for missing entries.
+
+    Raise TypeError for any other keyword.
+    """
     if unknown := facts.keys() - _NOTHING.keys():
         raise TypeError(f"unknown keywords: {', '.join(sorted(unknown))}")
     return _NOTHING | facts
@@ -55,9 +58,9 @@ class JudgedRun:
     """A trace with one evaluation for each claim of its scenario, in the order of the claims.
 
     If the avoider did not answer in the run, the run gets the further claim "the avoider answered".
-    ``replay_command`` is the command line that repeats this run.  ``notes`` are sentences for the reader, for
-    example about bridged gaps of a recording.  ``trace_file`` holds the trace.  ``about`` is the index of the
-    claim under whose heading the report shows the run; None under any other heading.
+    ``replay_command`` is the command line that repeats this run. ``notes`` are sentences for the reader, for
+    example about bridged gaps of a recording. ``trace_file`` holds the trace. If the report shows the run
+    under the heading of a claim, ``about`` is the index of this claim. Otherwise, ``about`` is None.
 
     Raises:
         ValueError: The number of evaluations differs from the number of claims.
@@ -88,12 +91,15 @@ class JudgedRun:
 
     @cached_property
     def _fallback(self) -> Evaluation | None:
-        """The evaluation of "the avoider answered"; None if it did, or if the scenario has this claim."""
+        """The evaluation of "the avoider answered" for a run in which the avoider failed to answer.
+
+        The evaluation is None if the avoider answered, or if the scenario already has this claim.
+        """
         return None if is_claimed(self.trace.scenario.claims) else by_default(self.trace)
 
     @property
     def as_expected(self) -> tuple[bool, ...]:
-        """For each claim, whether its author expects the verdict; true if the claim does not apply."""
+        """For each claim, True if it does not apply or if it has the verdict that its author expects."""
         return tuple(
             evaluation.verdict is claim.given(evaluation.margin) or not evaluation.applicable
             for claim, evaluation in self.judged_claims()
@@ -101,12 +107,12 @@ class JudgedRun:
 
     @property
     def applicable(self) -> tuple[bool, ...]:
-        """For each claim, whether it applies to the system under test."""
+        """For each claim, whether the claim applies to the system under test."""
         return tuple(evaluation.applicable for _, evaluation in self.judged_claims())
 
     @property
     def all_as_expected(self) -> bool:
-        """Whether each claim has its expected verdict and any claim applies; true without claims."""
+        """True if each claim has its expected verdict and at least one applies, or if there are no claims."""
         return all(self.as_expected) and (any(self.applicable) or not self.applicable)
 
     def count(self, verdict: Verdict) -> int:
@@ -114,7 +120,7 @@ class JudgedRun:
         return sum(e.verdict is verdict and e.applicable for _, e in self.judged_claims())
 
     def under_claim(self, sentence: str) -> JudgedRun:
-        """Return a copy of this run for the place under the heading of the claim ``sentence``.
+        """Return a copy of this run, which the report shows under the heading of the claim ``sentence``.
 
         ``about`` becomes None if the scenario has no claim with that sentence.
         """
@@ -124,11 +130,13 @@ class JudgedRun:
     under = under_claim  # deprecated: the old name, for one release
 
     def shown_claim(self) -> int | None:
-        """Return the index of the claim whose worst moment each picture and replay shows, or None.
+        """Return the index of the claim whose worst moment the pictures and replays show.
 
-        Only claims with a worst moment qualify.  If ``about`` names a claim, only that claim qualifies.
-        Otherwise the worst claim is chosen: violated before inconclusive before holds, lengths before other
-        units, then the smallest margin.
+        The result is None if no claim qualifies. A claim qualifies only if it has a worst moment. If
+        ``about`` is the index of a claim, only that claim qualifies. Otherwise, the worst of the qualifying
+        claims is chosen. A violated claim is worse than an inconclusive claim, which is worse than a claim
+        that holds. If verdicts are equal, a margin that is a length comes before margins in other units, and
+        then the smallest margin comes first.
         """
         ranked = [
             (
@@ -146,7 +154,7 @@ class JudgedRun:
 
 
 def worst_verdict(verdicts: Iterable[Verdict]) -> Verdict:
-    """Return the worst of ``verdicts``; inconclusive if there are none."""
+    """Return the worst of ``verdicts``, or inconclusive if there are no verdicts."""
     return min(verdicts, key=SEVERITY.index, default=Verdict.INCONCLUSIVE)
 
 
@@ -171,7 +179,10 @@ def tallies(runs: Iterable[JudgedRun]) -> tuple[ClaimTally, ...]:
 
 
 def basis_of(runs: Sequence[JudgedRun], coverage: Sequence[ClaimTally] | None = None) -> str:
-    """Return a sentence on the basis of the verdicts; ``coverage`` may count more runs than ``runs``."""
+    """Return a sentence on the runs on which the verdicts are based.
+
+    ``coverage`` may include runs that ``runs`` does not contain.
+    """
     return basis_of_tallies((made_in(run.trace) for run in runs), coverage or tallies(runs))
 
 
@@ -183,7 +194,10 @@ def as_expected(runs: Iterable[JudgedRun]) -> tuple[list[bool], int]:
 
 
 def answer(runs: Sequence[JudgedRun]) -> str:
-    """Return one line that states how many verdicts are as expected, and how many there are of each kind."""
+    """Return one line that counts the verdicts.
+
+    The line states how many verdicts are as expected, and the number of verdicts of each kind.
+    """
     expected, unexpected = as_expected(runs)
     counts = [sum(run.count(kind) for run in runs) for kind in Verdict]
     kinds = ("hold", "violated", "inconclusive", "claims not applicable to the controller")

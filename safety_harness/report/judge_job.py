@@ -1,4 +1,4 @@
-"""Judge stored traces and logs, without simulating."""
+"""Judge stored traces and logs, without a simulation."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ A_CLAIM = "a claim at least, there or as --claim SENTENCE: nothing is judged wit
 
 
 def claims_of(sentences: Sequence[str]) -> tuple[Claim, ...]:
-    """Return the claims for ``sentences``, each expected to hold.
+    """Return the claims for ``sentences``, each with the expected verdict "holds".
 
     Raise InadmissibleError for a sentence that is no claim.
     """
@@ -39,8 +39,8 @@ def judged_run(path: Path, sentences: Sequence[str] = (), out: Path | None = Non
 
     Args:
         path: The file of the trace or the log.
-        sentences: The claims to judge; empty to judge the file's own claims.
-        out: The folder into which a log's trace is written; None: No trace is written.
+        sentences: The claims to judge. If there are no sentences, the claims in the file are judged.
+        out: The folder for the trace of a log. If it is None, no trace is written.
 
     Raises:
         InputError: The file or a claim cannot be used.
@@ -72,7 +72,10 @@ def _of_log(path: Path, claims: Sequence[Claim], out: Path | None) -> JudgedRun:
 def write_judged(
     runs: Sequence[JudgedRun], refused: Sequence[InputError], out: Path, paths: Sequence[Path]
 ) -> None:
-    """Write the report of runs that were judged without simulating; raise OutputError if that fails."""
+    """Write the report of runs that were judged without simulating.
+
+    Raise OutputError if the writing fails.
+    """
     arguments = [
         "safety-harness",
         "judge",

@@ -17,7 +17,7 @@ ALL_OF_DECISIONS = frozenset(name for name in COLUMNS_OF_A_TRACE if name.startsw
 
 @dataclass(frozen=True)
 class MeasuredRow:
-    """Columns of a trace that share their source, uncertainty and gaps."""
+    """Columns of a trace that have the same source, uncertainty and gaps."""
 
     columns: tuple[str, ...]
     source: str
@@ -33,7 +33,7 @@ class MeasuredRow:
 
 
 def measured_rows(trace: Trace) -> list[MeasuredRow]:
-    """Return a row for each source of measurement; empty if the whole trace is simulated truth.
+    """Return a row for each source of measurement. If the whole trace is simulated truth, return no row.
 
     The row of the unmeasured columns comes last.
     """
@@ -52,14 +52,17 @@ def measured_rows(trace: Trace) -> list[MeasuredRow]:
 
 
 def measured_lines(trace: Trace) -> list[str]:
-    """Return the rows under the name of the run; empty if the whole trace is simulated truth."""
+    """Return the rows of ``measured_rows`` as lines, under the name of the run.
+
+    There is no line if the whole trace is simulated truth.
+    """
     rows = measured_rows(trace)
     head = [f"what was measured of {trace.scenario.name}:"] if rows else []
     return head + [f"  {row.summary}" for row in rows]
 
 
 def known_data(trace: Trace) -> dict[str, Any]:
-    """Return source, uncertainty [SI] and gaps [ticks] of each column that is not simulated, as JSON."""
+    """Return the source, uncertainty [SI] and gaps [ticks] of each column that is not simulated, for JSON."""
     return {
         name: {
             "source": fact.source.value,
@@ -74,7 +77,7 @@ def known_data(trace: Trace) -> dict[str, Any]:
 
 
 def unmeasured_words(evaluations: Iterable[Evaluation]) -> str:
-    """Return how many evaluations lacked measurements, and how many were never exercised.
+    """Return a text that states how many evaluations lacked measurements and how many were never exercised.
 
     The text is empty if no evaluation lacks measurements.
     """
@@ -86,7 +89,7 @@ def unmeasured_words(evaluations: Iterable[Evaluation]) -> str:
 
 
 def _short(names: list[str]) -> tuple[str, ...]:
-    """Return the column names, with one common name for all columns of decisions."""
+    """Return the column names, but replace the names of all decision columns by one common name."""
     if not ALL_OF_DECISIONS.issubset(names):
         return tuple(names)
     return (*(name for name in names if name not in ALL_OF_DECISIONS), "all of decisions")
@@ -99,7 +102,10 @@ def _accuracy(name: str, fact: Measurement) -> str:
 
 
 def _gaps(trace: Trace, gaps: tuple[Gap, ...]) -> str:
-    """Return the times of the gaps, and the name of the hand if a gap concerns only one hand."""
+    """Return a text that lists the times of the gaps.
+
+    If a gap concerns only one hand, the text states the name of this hand.
+    """
     hands, period_s = trace.scenario.hands, trace.scenario.settings.clock.control_period_s
     times = []
     for gap in gaps[:MOST_GAPS]:

@@ -1,4 +1,4 @@
-"""Write the evidence of the page for programs: one JSON file about one or several runs."""
+"""Write a page's evidence for other programs, as one JSON file about one or several runs."""
 
 from __future__ import annotations
 
@@ -36,14 +36,17 @@ COUNTED = ("runs", "exercised", "occasions", "holds", "violated", "inconclusive"
 
 
 def write_json(path: Path, data: dict[str, Any]) -> None:
-    """Write the result of ``report_data`` to ``path`` in full or not at all; OSError if that fails."""
+    """Write the result of ``report_data`` to ``path`` completely or not at all.
+
+    Raise OSError if the writing fails.
+    """
     write_whole(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
 
 
 def report_data(
     runs: Sequence[JudgedRun], *, interrupted: bool, **facts: Unpack[AboutRuns]
 ) -> dict[str, Any]:
-    """Return the results of ``runs``, built only from types that JSON knows.
+    """Return the results of ``runs`` as an object that can be written as JSON.
 
     The object has these fields:
 
@@ -55,8 +58,8 @@ def report_data(
     - ``skipped``, ``refused`` and ``against``: the facts of the same names in ``AboutRuns``;
     - ``repeatability``: the answers of a second avoider to the same questions, or null.
 
-    Margins are in SI units with full precision; a missing margin is null.  A margin that is not finite is the
-    text "inf", "-inf" or "nan", because JSON has no such numbers.
+    Margins are in SI units with full precision. A missing margin is null. If a margin is not finite, it is
+    written as the text "inf", "-inf" or "nan", because JSON has no such numbers.
 
     Args:
         runs: The judged runs.
@@ -91,7 +94,7 @@ def report_data(
 
 
 def refused_data(refused: Sequence[InputError]) -> list[dict[str, Any]]:
-    """Return the place and the reason for each input that cannot be used."""
+    """For each input that cannot be used, return its place and the reason."""
     return [
         {
             "file": None if error.place.file is None else str(display_path(error.place.file)),
@@ -107,11 +110,12 @@ def refused_data(refused: Sequence[InputError]) -> list[dict[str, Any]]:
 def run_data(run: JudgedRun) -> dict[str, Any]:
     """Return one run as JSON.
 
-    ``system`` lists the parts of the tested system; an absent part is null.  ``avoider_answered`` is null
-    without an avoider.  A claim has ``parts`` if its formula is a conjunction ("and").  ``unmeasured`` names
-    the columns whose absence makes a claim inconclusive.  ``known`` lists the columns that are not simulated
-    truth.  ``decisions`` and ``overruling`` are null if they were not measured.  ``trace_sha256`` is the
-    present hash of the trace file.  ``limits`` counts the commands that each limit changed.
+    ``system`` lists the parts of the tested system, and an absent part is null. ``avoider_answered`` is null
+    without an avoider. A claim has ``parts`` if its formula is a conjunction, that is, if it joins formulas
+    by "and". ``unmeasured`` lists the columns whose absence makes a claim inconclusive. ``known`` lists the
+    columns whose values are not simulated truth. ``decisions`` and ``overruling`` are null if the trace has
+    no measurements of them. ``trace_sha256`` is the hash that the trace file has at present. ``limits``
+    states how many commands each limit changed.
     """
     trace, scenario, file = run.trace, run.trace.scenario, run.trace_file
     return {

@@ -1,4 +1,7 @@
-"""Pack columns of numbers as short text for a page's script: fixed-point differences, deflated, base64."""
+"""Pack columns of numbers as short text for a page's script.
+
+The numbers are stored as fixed-point differences, which are compressed with deflate and encoded as text.
+"""
 
 from __future__ import annotations
 
@@ -16,11 +19,12 @@ NAN, INF = -(2**31), 2**31 - 1  # sentinels; values beyond them count as not fin
 
 
 def packed(columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    """Return arrays (n, ...) as ``unpack`` of replay.js reads them: rows, width, scale, and all bytes.
+    """Pack arrays (n, ...) into the form that ``unpack`` in replay.js reads.
 
-    Integers stay exact.  Real numbers are rounded to 10 um, 10 urad or 10 us; NaN and infinity stay as they
-    are.  Consecutive values of a component differ little, so their bytes of equal significance are stored
-    together and compress well.
+    The result has the number of rows, the width and the scale of each array, and the bytes of all arrays.
+    Integers stay exact. Real numbers are rounded to 10 um, 10 urad or 10 us. NaN and infinity are preserved.
+    Consecutive values of a component differ little. The function therefore stores differences and groups
+    their bytes by significance, because such data compress well.
     """
     shapes, steps = {}, [np.zeros(0, np.int32)]
     for name, values in columns.items():
@@ -41,5 +45,5 @@ def deflated(plain: bytes) -> str:
 
 
 def as_attribute(data: dict[str, Any]) -> str:
-    """Return ``data`` as deflated JSON, whose text contains only letters, digits, +, / and =."""
+    """Return ``data`` as deflated JSON in a text that contains only letters, digits, +, / and =."""
     return deflated(json.dumps(data, separators=(",", ":"), allow_nan=False).encode())

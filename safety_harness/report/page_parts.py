@@ -26,15 +26,18 @@ MOST_OPEN = 5  # parts of a page that are open at first
 
 @dataclass(frozen=True, kw_only=True)
 class PageSection:
-    """A table that a package adds to a page; the page escapes the table's texts.
+    """A table that a package adds to a page.
+
+    The page escapes the texts of the table.
 
     Args:
-        page: ``run`` to add the table to each drawn run, ``evidence`` to add it to the evidence page.
+        page: The place of the table. ``run`` adds the table to each drawn run, and ``evidence`` adds it to
+            the evidence page.
         heading: The heading of the section, in plain text.
         caption: The caption of the table.
         heads: The headings of the columns.
-        rows: The function that returns the rows of texts, given the ``JudgedRun`` or the ``Evidence``.  If it
-            returns no rows, the page omits the section.
+        rows: The function that receives the ``JudgedRun`` or the ``Evidence`` and returns the rows of texts.
+            If it returns no rows, the page omits the section.
 
     """
 
@@ -46,7 +49,10 @@ class PageSection:
 
 
 def added_sections(page: str, shown: object, prefix: str = "") -> list[dict[str, Any]]:
-    """Return the sections that packages add to a page about ``shown``; warn of a section that fails."""
+    """Return the sections that packages add to a page about ``shown``.
+
+    Warn of each section that fails.
+    """
     added: list[dict[str, Any]] = []
     for name, table in loaded(ExtensionPoint.PAGE_SECTIONS, PageSection):
         if table.page == page:
@@ -61,9 +67,10 @@ def added_sections(page: str, shown: object, prefix: str = "") -> list[dict[str,
 
 @lru_cache  # so that each template is compiled only once
 def templates(package: str = PACKAGE) -> Environment:
-    """Return the templates, which escape their values and raise an error for a missing name.
+    """Return the templates.
 
-    ``package`` may have its own templates, which are found beside the shared ones.
+    The templates escape their values, and raise an error for an undefined name. The loader finds the
+    templates of ``package`` and the shared templates.
     """
     environment = Environment(
         loader=ChoiceLoader([PackageLoader(name) for name in dict.fromkeys((package, PACKAGE))]),
@@ -78,13 +85,19 @@ def templates(package: str = PACKAGE) -> Environment:
 
 
 def _headings(page: str) -> list[tuple[str, Markup]]:
-    """Return the id and title of each part of ``page`` for its table of contents, without articles."""
+    """Return the id and title of each part of ``page``, for the table of contents of the page.
+
+    The table omits the headings of articles.
+    """
     parts = re.findall(r'<h2 id="([^"]+)"(?: tabindex="-1")?>(.*?)</h2>', page)
     return [(name, Markup(text)) for name, text in parts if not name.endswith("-heading")]
 
 
 def asset(name: str, package: str = PACKAGE) -> str:
-    """Return the text of a style sheet or script, from ``package`` if it has one of that name."""
+    """Return the text of a style sheet or script.
+
+    A file of ``package`` takes precedence over the shared file with the same name.
+    """
     own = files(package) / "templates" / name
     return (own if own.is_file() else files(PACKAGE) / "templates" / name).read_text(encoding="utf-8")
 
@@ -99,19 +112,23 @@ def render_page(
     replays: bool = False,
     **values: object,
 ) -> str:
-    """Return a page that needs no network: ``template`` with the shared style sheet and script.
+    """Return the page of ``template`` with the shared style sheet and script.
+
+    The page needs no network.
 
     Args:
         template: The name of the template.
-        basis: What the verdicts of the page are based on; empty for a page without verdicts.
+        basis: A sentence on the evidence behind the page's verdicts, or an empty text if the page has no
+            verdicts.
         package: The package that contains the template.
-        style: A style sheet to add after the shared one.
-        scripts: Scripts to add after the shared one.
+        style: A style sheet to add after the shared style sheet.
+        scripts: Scripts to add after the shared script.
         replays: Whether the page contains the 3-D viewer of replays.  The page then carries three.js as text.
             The first replay turns this text into a script, which the page's security policy allows.
         values: The values that the template refers to.
 
     """
+    # The page's security policy lists the hash of each script, so all of them are one.
     script = "".join(asset(name, package) for name in ("report.js", *scripts))
     sheets, also = [style] if style else [], ""
     if replays:

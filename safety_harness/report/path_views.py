@@ -1,7 +1,7 @@
-"""Draw the paths of one run from above (x-y) and from the side (x-z): each whole, and close to the TCP.
+"""Draw the paths of one run from above (x-y) and from the side (x-z), in full and as a close-up at the TCP.
 
-All drawings are in millimetres.  Every ``draw_`` function draws base x to the right, and base ``axis`` (1: y,
-2: z) upwards.
+All drawings are in millimetres. In every drawing, the x axis of the base frame points right. Either the y
+axis (``axis`` 1) or the z axis (``axis`` 2) points up.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ MM = 1e3
 
 @dataclass(frozen=True)
 class Moment:
-    """The instant at which a view draws hands, forearms and the whole arm."""
+    """The time at which the views show the hands, the forearms and the arm."""
 
     tick: int
     time_s: float
@@ -43,10 +43,10 @@ class Moment:
 
 
 def shown_moment(run: JudgedRun) -> Moment | None:
-    """Return the moment that every picture, button and replay of a run shows.
+    """Return the moment that all pictures and replays of a run show.
 
-    It is the worst moment of the claim ``run.shown_claim()``.  Without such a claim, it is the moment when a
-    hand was nearest.  The result is None if there was no hand either.
+    This moment is the worst moment of the claim ``run.shown_claim()``. If there is no such claim, the moment
+    is the time when a hand was nearest. The result is None if, in addition, no hand was present.
     """
     ticks = run.trace.ticks
     if len(ticks) == 0:
@@ -65,7 +65,7 @@ def shown_moment(run: JudgedRun) -> Moment | None:
 
 
 def path_views(run: JudgedRun, *, prefix: str) -> tuple[Markup, ...]:
-    """Return the paths as four SVG drawings: from above, from the side, and both close to the TCP.
+    """Return four SVG drawings of the paths: from above and from the side, each in full and as a close-up.
 
     Args:
         run: A run with at least one tick.
@@ -81,7 +81,7 @@ def path_views(run: JudgedRun, *, prefix: str) -> tuple[Markup, ...]:
 
 
 def widest_view(trace: Trace) -> int:
-    """Return which of ``path_views`` shows most of the hands' motion: 0 from above, 1 from the side."""
+    """Return the index of the view that shows the hands' motion best: 0 from above, 1 from the side."""
     there = trace.ticks["hand_present"]
     hands_m = trace.ticks["hand_position_in_base_m"][there]
     y_m, z_m = np.ptp(hands_m, axis=0)[1:] if len(hands_m) else (0.0, 0.0)
@@ -89,7 +89,11 @@ def widest_view(trace: Trace) -> int:
 
 
 def _view(run: JudgedRun, moment: Moment | None, axis: int, *, close_up: bool, prefix: str) -> str:
-    """Return one view in millimetres: base x to the right, base ``axis`` (1: y, 2: z) upwards."""
+    """Return one view in millimetres.
+
+    The x axis of the base frame points right. Either the y axis (``axis`` 1) or the z axis (``axis`` 2)
+    points up.
+    """
     trace = run.trace
     picture = Picture(WIDTH_PX, HEIGHT_PX)
     left, right, below, above = MARGINS_PX
@@ -141,7 +145,7 @@ def _description(run: JudgedRun, moment: Moment | None, axis: int) -> str:
 
 
 def close_up_mm(trace: Trace) -> tuple[Floats, Floats]:
-    """Return two corners (3,) [mm] of the box that contains the TCP's whole path and every decision."""
+    """Return two corners (3,) [mm] of a box that contains the TCP's path and all decisions."""
     points = np.vstack(
         [
             trace.ticks["transform_tcp_to_base"][:, :3, 3],
@@ -163,13 +167,16 @@ def name_table(axes: Axes, cell: Cell) -> None:
 
 
 def draw_close_up_frame(axes: Axes, trace: Trace, axis: int) -> None:
-    """Draw a frame around the part of the whole view that the close-up shows."""
+    """Draw a frame in the full view, which shows the area of the close-up."""
     x, y = rectangle(*close_up_mm(trace), axis)
     axes.line(x, y, Ink.MUTED, width=0.8)
 
 
 def rectangle(low: Array3, high: Array3, axis: int) -> Floats:
-    """Return the closed outline (2, 5) of the box between two corners (3,), in base x and base ``axis``."""
+    """Return the closed outline (2, 5) of the box between two corners (3,).
+
+    The coordinates of the outline are x and, according to ``axis``, y (1) or z (2) in the base frame.
+    """
     across = np.array([low[0], high[0], high[0], low[0], low[0]])
     return np.stack([across, np.array([low[axis], low[axis], high[axis], high[axis], low[axis]])])
 
@@ -208,7 +215,7 @@ def draw_arm(axes: Axes, trace: Trace, moment: Moment, axis: int) -> None:
 
 
 def draw_forearms(axes: Axes, trace: Trace, moment: Moment, axis: int) -> None:
-    """Draw the outline of each forearm's capsule at the moment."""
+    """Draw the outline of each forearm's capsule at the drawn moment."""
     size = trace.scenario.settings.hand
     tick = trace.ticks[moment.tick]
     for hand in np.flatnonzero(tick["hand_present"]):
@@ -222,9 +229,9 @@ def draw_forearms(axes: Axes, trace: Trace, moment: Moment, axis: int) -> None:
 
 
 def capsule_outline(start: Array3, end: Array3, radius: float) -> Floats:
-    """Return the outline (k, 2) of all points within ``radius`` of a segment.
+    """Return the outline (k, 2) of the area within ``radius`` of a segment.
 
-    For a segment of zero length, this is a circle.
+    For a segment of zero length, the outline is a circle.
     """
     along = end - start
     heading = float(np.arctan2(along[1], along[0]))
@@ -262,7 +269,7 @@ def draw_tcp(axes: Axes, trace: Trace, moment: Moment | None, axis: int) -> None
 
 
 def _draw_path(axes: Axes, path_mm: Floats, axis: int, ink: Ink, *, dashed: bool) -> None:
-    """Draw a path (n, 3), thinned so that the extremes of both coordinates remain."""
+    """Draw a path (n, 3) with fewer points, but keep the extreme points of both coordinates."""
     order = np.arange(len(path_mm), dtype=np.float64)
     kept = np.union1d(*(keep_extremes(order, path_mm[:, k], COLUMNS)[0] for k in (0, axis)))
     points = path_mm[kept.astype(np.int64)]
@@ -276,7 +283,7 @@ def _draw_ends(axes: Axes, path_mm: Floats, axis: int, ink: Ink) -> None:
 
 
 def draw_decisions(axes: Axes, trace: Trace, axis: int) -> None:
-    """Draw a line from the TCP at each decision to the repulsive position that was chosen."""
+    """For each decision, draw a line from the TCP to the repulsive position that the decision chose."""
     decisions = trace.decisions
     starts = decisions["tcp_position_in_base_m"] * MM
     chosen = decisions["chosen_position_in_base_m"] * MM

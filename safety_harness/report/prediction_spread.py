@@ -1,8 +1,8 @@
 """Compute the hand filter's uncertainty about a predicted hand from the filter's settings, for pictures.
 
-A trace contains the predictions without their covariance.  The covariance of a linear filter depends only on
-the times of its measurements.  The result is therefore exact if every image since the beginning of a track
-showed the hand.  If an image missed the hand, the true covariance is larger than the result.
+A trace contains the predictions without their covariance. The covariance of a linear filter depends only on
+the times of its measurements. Therefore, the result is exact if the hand was visible in every image since the
+track began. If an image missed the hand, the true covariance is larger than the result.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ UPPER = np.triu_indices(3)
 
 
 def prediction_spread_m(trace: Trace) -> Floats:
-    """Return the upper half (n, tracks, 6) [m] of S; S S is the covariance of a predicted hand's centre.
+    """Return the upper half of a symmetric matrix S [m], shape (n, tracks, 6).
 
-    S is expressed in the base frame.  The result is NaN where there is no track, or if another filter made
-    the predictions.
+    S S is the covariance of a predicted hand's centre. S is expressed in the base frame. The result is NaN at
+    ticks without a track, and if another filter made the predictions.
     """
     ticks = trace.ticks
     valid = ticks["track_valid"].astype(bool)
@@ -54,7 +54,7 @@ def prediction_spread_m(trace: Trace) -> Floats:
 
 
 def _variances(trace: Trace, valid: NDArray[np.bool_]) -> Floats:
-    """Return the variances (n, tracks, 3) of u, v [px^2] and z [m^2] at the time of the prediction."""
+    """Return the variances of u, v [px^2] and z [m^2] at the time of the prediction, shape (n, tracks, 3)."""
     settings = trace.scenario.settings
     sensor, horizon_s = settings.hand_sensor, settings.hand_filter.prediction_horizon_s
     parameters = filter_parameters(settings.hand_filter, sensor)[0]
@@ -72,10 +72,10 @@ def _variances(trace: Trace, valid: NDArray[np.bool_]) -> Floats:
 
 
 def _after_frames(parameters: np.void, dt_s: float, most: int) -> Floats:
-    """Return var(value), cov(value, rate) and var(rate) of u, v, z after each number of frames.
+    """Return var(value), cov(value, rate) and var(rate) of u, v and z after 1, 2, ... frames.
 
-    The shape is (at most ``most`` + 1, 3, 3); the last entry holds for all later frames.  The recursion
-    follows the filter's ``initialise``, ``wait`` and ``update``.
+    The shape is (k, 3, 3), where k is at most ``most`` + 1. After more than k frames, the last entry applies.
+    The recursion is the same as in the filter's ``initialise``, ``wait`` and ``update``.
     """
     noise, push = parameters["measurement_variance"][:3], parameters["acceleration_variance"]
     states = [np.array([noise, np.zeros(3), parameters["initial_rate_variance"]])]

@@ -1,8 +1,9 @@
-"""Prepare a run's 3-D replay as JSON: the arm's frames, capsules and meshes, and columns of the trace.
+"""Prepare a run's 3-D replay as JSON.
 
-The viewer computes the arm's motion from the joint angles, so that arm, hands and distances agree with the
-trace.  Of a long run, the data keep evenly spaced ticks, every worst moment and every decision.  Between two
-kept ticks, the viewer interpolates linearly.
+The replay has the frames, capsules and meshes of the arm, and some columns of the trace. The viewer computes
+the arm's motion from the joint angles, so that arm, hands and distances agree with the trace. For a long run,
+the data contain evenly spaced ticks, every worst moment and every decision. Between these ticks, the viewer
+interpolates linearly.
 """
 
 from __future__ import annotations
@@ -49,7 +50,10 @@ ANY = 1_000_000  # stands for no capsule, if the capsule nearest to a hand is un
 
 
 class Replays:
-    """The replays of one page: at most ``most``; only an arm's first replay contains its meshes."""
+    """The replays of one page, at most ``most``.
+
+    Only the first replay of an arm contains the arm's meshes.
+    """
 
     def __init__(self, most: int = MOST_REPLAYS) -> None:
         self._left = most
@@ -57,14 +61,14 @@ class Replays:
         self._explained = ""  # the replay that explains what is drawn
 
     def arguments(self, run: JudgedRun, name: str, **more: object) -> dict[str, object] | None:
-        """Return the arguments of the template macro ``replay`` for ``run``.
+        """Return the arguments that the template macro ``replay`` needs to show ``run``.
 
         The result is None if the run has no ticks, or if the page already has ``most`` replays.
 
         Args:
             run: The run to replay.
             name: The id of the replay on the page.  The ids of its timeline begin with ``name-time-``.
-            more: Further arguments of the macro.
+            more: Additional arguments for the macro.
 
         """
         if self._left == 0 or len(run.trace.ticks) == 0:
@@ -93,7 +97,10 @@ class Replays:
 
 
 def replay_data(run: JudgedRun) -> dict[str, Any]:
-    """Return the replay of ``run`` without the arm's meshes; the run must have at least one tick."""
+    """Return the replay of ``run`` without the arm's meshes.
+
+    The run must have at least one tick.
+    """
     trace = as_measured(run.trace)
     settings = trace.scenario.settings
     arm = arm_model(trace.scenario.robot)
@@ -180,21 +187,23 @@ def kept_ticks(run: JudgedRun) -> NDArray[np.int64]:
     worst = [e.worst_time_s for e in run.evaluations if e.worst_time_s is not None]
     at_worst = [int(np.argmin(np.abs(run.trace.time_s - time_s))) for time_s in worst if isfinite(time_s)]
     decided_at = run.trace.decisions["tick"].tolist()[:MOST_TICKS] if decided(run.trace, "tick") else []
+    # Besides evenly spaced ticks, keep the last tick, the worst moments and the decisions.
     kept = {*range(0, count, step), count - 1, *at_worst, *decided_at}
     return np.array(sorted(kept), np.int64)
 
 
 def start_s(run: JudgedRun) -> float:
-    """Return the time [s] at which the replay starts: the moment that the drawings show."""
+    """Return the time [s] at which the replay starts, which is the moment that the drawings show."""
     moment = shown_moment(run)
     return float(run.trace.time_s[0]) if moment is None else moment.time_s
 
 
 def _separation_m(trace: Trace) -> NDArray[np.float64]:
-    """Return the separation distance (n,) [m] that the arm needs from a human who reaches for it.
+    """Return the separation distance (n,) [m] that the arm needs from a human who reaches for the arm.
 
-    The distance follows from the reaction and stop times of ``trace``; it is NaN where these are unknown.  It
-    assumes that the arm approaches at the TCP's speed, whereas claims use the speed of each link.
+    The distance follows from the reaction and stop times of ``trace``, and is NaN where these times are
+    unknown. The distance assumes that the arm approaches at the TCP's speed, whereas claims use the speed of
+    each link.
     """
     speed_mps = trace.ticks["tcp_speed_mps"]
     ticks = zip(speed_mps.tolist(), *(column.tolist() for column in times_left_s(trace)), strict=True)
@@ -205,9 +214,9 @@ def _separation_m(trace: Trace) -> NDArray[np.float64]:
 def _views(settings: Settings) -> list[dict[str, Any]]:
     """Return the field of view of the servoing camera, and of an overhead hand camera if there is one.
 
-    The servoing camera is placed relative to the tool, the overhead camera at its mount in the base frame.
-    The corners of the servoing camera's view lie in the object's plane, as seen from the arm's goal.  The
-    corners of the overhead camera's view lie in the plane of the table.
+    The position of the servoing camera is relative to the tool. The overhead camera is at its mount in the
+    base frame. The corners of the servoing camera's view lie in the object's plane, as seen from the arm's
+    goal. The corners of the overhead camera's view lie in the plane of the table.
     """
     camera, sensor, cell = settings.camera, settings.hand_sensor, settings.cell
     mount = transform_camera_to_tcp(camera, calibrated=False)
@@ -228,7 +237,10 @@ def _corners(optics: Any, depth_m: float) -> list[list[float]]:  # a Camera or a
 
 
 def _faces(box: Obstacle) -> list[list[list[float]]]:
-    """Return the corners of a box's floor, top and two walls; these four faces contain all its edges."""
+    """Return the corners of four faces of a box: floor, top and two opposite walls.
+
+    These four faces contain all edges of the box.
+    """
     corners = [rounded(corner) for corner in box.corners_in_base_m]
     return [[corners[k] for k in face] for face in ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (2, 3, 7, 6))]
 
@@ -243,7 +255,10 @@ def _worst(run: JudgedRun) -> list[dict[str, Any]]:
 
 
 def _decisions(trace: Trace) -> list[dict[str, Any]]:
-    """Return the time, start, chosen and refused positions of each decision, as far as they were measured."""
+    """Return the time, the start, the chosen position and the refused positions of each decision.
+
+    The result is empty if the decisions were not measured.
+    """
     if not decided(trace, "time_s"):
         return []
     return [_decision(trace, decision) for decision in trace.decisions]

@@ -34,22 +34,22 @@ GIVEN = "scenarios"  # the subfolder for scenarios that had no file
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RunResult:
-    """The judged runs of one call of ``run``, and the errors of inputs that did not run.
+    """The judged runs of one call of ``run``, and the errors of inputs that could not run.
 
     Args:
         runs: The finished runs, in order.
-        given: The inputs as the caller passed them.
+        given: The unchanged inputs that the caller passed.
         options: The command-line options that repeat the runs.
         planned: The number of scenarios that were to run.
         skipped: Scenarios that did not run because they do not suit the avoider.
         refused: The errors of inputs that could not be used.
         failed: Scenarios that could not be simulated to their end, with the reasons.
-        against: The differences from the reference's runs; None without a reference.
-        repeated: The answers of a second instance of the avoider to the same questions; None if it was not
-            asked.
+        against: The differences from the reference's runs, or None if there is no reference.
+        repeated: The answers of a second instance of the avoider to the same queries, or None if there was no
+            second instance.
         interrupted: Whether Ctrl-C ended the runs.
-        unwritable: The error that prevented the writing of a file; None if there was no error.
-        mcap: Whether to write each run as MCAP too.
+        unwritable: The error that prevented the writing of a file, or None if all files were written.
+        mcap: Whether to write each run also as an MCAP file.
 
     """
 
@@ -69,12 +69,15 @@ class RunResult:
 
     @property
     def verdict(self) -> Verdict:
-        """Return the worst verdict of all claims; inconclusive if there are no claims."""
+        """Return the worst verdict of all claims, or inconclusive if there are no claims."""
         return worst_verdict(evaluation.verdict for run in self.runs for _, evaluation in run.judged_claims())
 
     @property
     def trace(self) -> Trace:
-        """Return the trace of the only run; raise InputError unless there is exactly one run."""
+        """Return the trace of the only run.
+
+        Raise InputError unless there is exactly one run.
+        """
         if len(self.runs) != 1:
             raise InputError.of_option("RunResult.trace", "the result of one run", f"{len(self.runs)} runs")
         return self.runs[0].trace
@@ -86,7 +89,7 @@ class RunResult:
 
     @property
     def basis(self) -> str:
-        """Return a sentence on the world, the exercised runs, and the parts that no claim monitors."""
+        """Return a sentence on the world, the exercised claims, and the aspects that no claim monitors."""
         return basis_of(self.runs)
 
     @property
@@ -108,7 +111,9 @@ class RunResult:
         return AS_EXPECTED if good and not self.failed else DIFFERS
 
     def __getitem__(self, sentence: str) -> Evaluation:
-        """Return the evaluation of the claim ``sentence``; of several runs, return the worst.
+        """Return the evaluation of the claim ``sentence``.
+
+        If several runs have the claim, return the worst evaluation.
 
         Raises:
             InputError: No run has the claim.
@@ -133,7 +138,7 @@ class RunResult:
     def data(self) -> dict[str, Any]:
         """Return the content of report.json.
 
-        Write the traces first, because the content includes their hashes.
+        The method writes the traces first, because the content includes their hashes.
         """
         from safety_harness.report.machine import report_data
 
@@ -150,10 +155,10 @@ class RunResult:
         }
 
     def write(self, folder: str | Path, output: Output = QUIET) -> RunResult:
-        """Write report.html, report.json, report.sarif, summary.md, and the traces that the folder lacks.
+        """Write report.html, report.json, report.sarif, summary.md, and each trace that the folder lacks.
 
-        The method also writes a file for each scenario that has none, because the report's command needs
-        files.  It finishes writing even if the user has pressed Ctrl-C once.
+        The method also writes a file for each scenario without a file, because the report's command needs
+        files. The method finishes writing even if the user has pressed Ctrl-C once.
 
         Args:
             folder: The folder to write into.
@@ -175,7 +180,10 @@ class RunResult:
         return replace(self, runs=runs, interrupted=self.interrupted or stopped())
 
     def _kept(self, run: JudgedRun, out: Path) -> JudgedRun:
-        """Return the run, whose trace file is now in the folder ``out``."""
+        """Return the run with its trace file in the folder ``out``.
+
+        The method writes the trace file if the folder does not contain it.
+        """
         if run.trace_file is not None and run.trace_file.parent == out / TRACES:
             return run
         file = saved(run.trace, out / TRACES)
@@ -188,7 +196,10 @@ class RunResult:
         )
 
     def _command(self, out: Path) -> str:
-        """Return the command line that repeats these runs; write the scenarios that have no file."""
+        """Return the command line that repeats these runs.
+
+        Scenarios without a file are written to files.
+        """
         parts = ["safety-harness", "run"]
         for item in self.given:
             file = item if isinstance(item, Path) else out / GIVEN / f"{item.name}.yaml"
@@ -199,14 +210,14 @@ class RunResult:
 
 
 def write_files(out: Path, runs: Sequence[JudgedRun], *, title: str, command: str, **of_all: Any) -> None:
-    """Write the report of runs in three forms: for a browser, for programs and for CI.
+    """Write the report of runs in three forms, which are for a browser, for programs, and for CI.
 
     Args:
         out: The folder.
         runs: The judged runs.
         title: The title of the page.
         command: The command line that the page shows.
-        of_all: Further arguments of ``write_report`` and ``report_data``.
+        of_all: Additional arguments for ``write_report`` and ``report_data``.
 
     Raises:
         OutputError: The folder cannot be written.
@@ -224,7 +235,10 @@ def write_files(out: Path, runs: Sequence[JudgedRun], *, title: str, command: st
 
 
 def saved(trace: Trace, folder: Path, recordings: Mapping[str, bytes] | None = None) -> Path:
-    """Write ``trace`` to ``folder`` and return the file; raise OutputError if it cannot be written."""
+    """Write ``trace`` to ``folder`` and return the file.
+
+    Raise OutputError if the file cannot be written.
+    """
     file = folder / f"{trace.scenario.name}.trace"
     with writing(file):
         file.parent.mkdir(parents=True, exist_ok=True)

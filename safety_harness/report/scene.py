@@ -1,4 +1,4 @@
-"""Draw a scenario, or many draws of a space, from above, from the side and as the camera sees it."""
+"""Draw one scenario, or many samples of a space, from above, from the side and in the camera's image."""
 
 from __future__ import annotations
 
@@ -50,7 +50,10 @@ def draw_scene(path: Path, previews: Sequence[Preview], *, title: str, regions: 
 
 
 def _draw_side(axes: Axes, previews: Sequence[Preview], axis: int, regions: Boxes) -> None:
-    """Draw one view in millimetres: base x to the right and base ``axis`` (1: y, 2: z) upwards."""
+    """Draw one view in millimetres.
+
+    Base x points right, and base ``axis`` (1: y, 2: z) points up.
+    """
     first = previews[0]
     faint = _opacity(previews)
     arm = first.links_in_base_m * MM
@@ -79,11 +82,12 @@ def _draw_side(axes: Axes, previews: Sequence[Preview], axis: int, regions: Boxe
 
 def _opacity(previews: Sequence[Preview]) -> float:
     """Return the opacity with which each preview is drawn."""
+    # Fainter with more draws, so that frequent paths stand out; the numbers are a choice.
     return 1.0 if len(previews) == 1 else max(0.06, min(0.5, 8.0 / len(previews)))
 
 
 def _draw_last_hands(axes: Axes, preview: Preview, axis: int) -> None:
-    """Draw each hand at its true size, where its path is nearest to the TCP."""
+    """Draw each hand at its true size, at the point of its path that is nearest to the TCP."""
     radius = preview.scenario.settings.hand.radius_m * MM
     for ink, path in zip(HANDS, preview.hand_paths_in_base_m, strict=False):
         nearest = path[int(np.argmin(np.linalg.norm(path - preview.tcp_in_base_m, axis=1)))] * MM
@@ -107,7 +111,7 @@ def _draw_image(axes: Axes, previews: Sequence[Preview]) -> None:
 
 
 def _write_key(axes: Axes, previews: Sequence[Preview], regions: Boxes) -> None:
-    """Write the key, which explains the marks and names the hands."""
+    """Write the key, which explains the marks and states the names of the hands."""
     axes.x.line = axes.y.line = axes.x.labelled = axes.y.labelled = False
     many = len(previews) > 1
     axes.marks([], [], "o", 5, fill=Ink.TCP, name="TCP starts" if many else "TCP start")

@@ -1,4 +1,7 @@
-"""Attribute the violations of a search: one counterexample, or all groups together, and draw the causes."""
+"""Attribute the violations of a search, and draw how often each cause occurs.
+
+The attribution covers one counterexample, or all groups of violations.
+"""
 
 from __future__ import annotations
 
@@ -30,17 +33,21 @@ MOST_ATTRIBUTED = 100  # groups of violations that are attributed for one search
 
 
 def confirming_line(replay: Replay, attribution: Attribution) -> str:
-    """Return a line with a reference's verdict on a violation, for the unchanged or a changed system."""
+    """Return a line with a reference world's verdict on a violation.
+
+    The verdict is for the unchanged system or for a changed system.
+    """
     margin = attribution.unit.margin_text(replay.margin)
     return f"in {confirming_world()}, {replay.summary or 'as it is'}: {replay.outcome.value}, {margin}"
 
 
 @dataclass(frozen=True, eq=False)
 class FaultsOfSearch:
-    """The attribution of the worst run of each of ``attributed`` groups, out of ``groups`` groups in all.
+    """The causes of a search's violations.
 
-    The groups are in the order in which the search found them.  ``interrupted`` states whether Ctrl-C
-    prevented the attribution of the remaining groups.
+    ``groups`` is the number of all groups of violations. For ``attributed`` of these groups, the worst run
+    was attributed. The groups are in the order in which the search found them. ``interrupted`` states whether
+    Ctrl-C prevented the attribution of the remaining groups.
     """
 
     tally: AttributionTally
@@ -50,22 +57,22 @@ class FaultsOfSearch:
 
     @property
     def summary(self) -> str:
-        """The number of violation groups of each cause, in one line."""
+        """One line with the number of violation groups for each cause."""
         _, _, groups = self.tally.summary.partition(": ")
         some = "" if self.attributed == self.groups else f"{self.attributed} of "
         return f"whose fault, of {some}{self.groups} groups of violations: {groups or 'not asked'}"
 
     def as_json(self) -> dict[str, object]:
-        """Return the tally as JSON, with the number of all groups and of attributed groups."""
+        """Return the tally as JSON, with the number of all groups and the number of attributed groups."""
         counts = {"groups_of_violations": self.groups, "attributed": self.attributed}
         return {"words": self.summary} | counts | self.tally.as_json()
 
 
 @dataclass(eq=False)
 class SearchAttribution:
-    """The attribution of a search's violations, with the result for each counterexample by its name.
+    """The attribution of a search's violations.
 
-    All replays run in ``world``.
+    Each result is stored under the name of its counterexample. All replays run in ``world``.
     """
 
     world: WorldEntry = KINEMATIC
@@ -80,7 +87,7 @@ class SearchAttribution:
         Args:
             scenario: The violating scenario.
             claim: The violated claim.
-            allowance: Limits the replays. None: no limit.
+            allowance: Limits the replays. The default sets no limit.
             confirms: Repeat the run in a reference, unchanged and with the change that removes the violation,
                 if the allowance has so much.
 
@@ -124,12 +131,14 @@ class SearchAttribution:
     def of_search(self, session: SearchSession) -> FaultsOfSearch | None:
         """Attribute all groups of violations.
 
-        The result is None if there are no groups, if not all are to be explained, or after an interruption.
+        The result is None if there are no groups, if the session does not explain all groups, or after an
+        interruption.
         """
         searches = [session.findings] + ([] if session.baseline is None else [session.baseline])
         groups = [group for findings in searches for group in findings.groups if group.claim is not None]
         if not groups or session.interrupted or not session.explains_all:
             return None
+        # Spread the choice over all groups, which are in the order of the search.
         every = -(-len(groups) // MOST_ATTRIBUTED)
         chosen = groups[::every]
         attributions: list[Attribution] = []
@@ -149,7 +158,10 @@ class SearchAttribution:
         return FaultsOfSearch(tally, done, len(groups), session.interrupted)
 
     def _of_run(self, session: SearchSession, groups: list[Group]) -> tuple[Attribution, ...]:
-        """Attribute groups that share the same worst run, which is admitted only once."""
+        """Attribute several groups with the same worst run.
+
+        The run's scenario is admitted only once.
+        """
         trials, worst = session.trials, groups[0].worst
         claims = tuple(trials.claims[group.claim] for group in groups if group.claim is not None)
         admitted = self.admitter.admit(trials.scenario(worst.point, worst.number))

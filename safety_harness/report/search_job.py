@@ -73,27 +73,27 @@ def fuzz(
     out: str | Path | None = None,
     output: Output = QUIET,
 ) -> SearchResult:
-    """Search a scenario space for violations; shrink, confirm and attribute each violation that is found.
+    """Search a scenario space for violations, then shrink, confirm and attribute the violations.
 
     Args:
         space: A file, ``shipped:NAME``, or a ``ScenarioSpace``.
-        avoider: The avoider that replaces the space's own.
+        avoider: The avoider that replaces the space's avoider.
         controller: The controller that replaces the visual servo.
-        against: A reference.  A violation then counts as a finding only if the reference avoids it in the
-            same draw.
+        against: A reference. If there is a reference, a violation is a finding only if the reference avoids
+            it in the same draw.
         budget: The number of runs of the search.  Shrinking uses further runs.
         seed: The seed from which every random number derives.
         searcher: The name of a search method that ``searcher_named`` knows.
         claims: Sentences of claims that replace the space's claims.
-        world: The searched world, such as the user's simulator. None: the kinematic world.
+        world: The world in which to search, such as the user's simulator. The default is the kinematic world.
         baseline: Whether to compare the search with uniform sampling of the space, which gets the same
             budget.
-        explain: "causes": Explain one example of each cause; the explanations use at most as many runs as the
-            search. "all": Explain every violation.
-        out: The folder into which each finding is written at once.  None: No files are written.
+        explain: If it is "causes", explain one example of each cause. The explanations then use at most as
+            many runs as the search. If it is "all", explain every violation.
+        out: The folder into which each finding is written at once. If it is None, no files are written.
         output: The ``Output`` that shows the progress.
 
-    Ctrl-C ends the search; the result then keeps the findings made until then.
+    Ctrl-C ends the search, and the result then contains the findings so far.
 
     Raises:
         InputError: The space or an option cannot be used.
@@ -111,6 +111,7 @@ def fuzz(
     reference = reference_for(chosen, against)
     read = space if isinstance(space, ScenarioSpace) else read_space(space)
     searched = world_named(world, "world") if isinstance(world, str) else world or KINEMATIC
+    # Learn that a simulator does not start before the search, and not from its first run.
     if searched is not KINEMATIC:
         _refuse_unusable(searched, read)
     attribution = SearchAttribution(searched)
@@ -146,9 +147,10 @@ def fuzz(
 
 
 def _refuse_unusable(world: WorldEntry, space: ScenarioSpace) -> None:
-    """Open the simplest scenario of ``space`` in ``world``, which starts a user's simulator.
+    """Check that ``world`` can open the simplest scenario of ``space``.
 
-    Raise InadmissibleError if the world cannot open a scenario that admission accepts.
+    The check starts a user's simulator. Raise InadmissibleError if the world cannot open a scenario that
+    admission accepts.
     """
     world.opener()
     try:
@@ -171,9 +173,9 @@ class SearchResult:
 
     Args:
         session: The search with all its findings.
-        evidence: The content of the page; None if a full disk ended the search.
+        evidence: The content of the page, or None if a full disk ended the search.
         interrupted: Whether Ctrl-C ended the search.
-        unwritable: The error that prevented the writing of a file; None if there was no error.
+        unwritable: The error that prevented the writing of a file, or None if all files were written.
 
     """
 
@@ -189,7 +191,7 @@ class SearchResult:
 
     @property
     def counterexamples(self) -> tuple[WrittenCounterexample, ...]:
-        """Return the counterexamples, each with its scenario and the reason why it violates a claim."""
+        """Return the counterexamples, each with its scenario and the reasons for its violation."""
         return tuple(self.session.written)
 
     @property
@@ -208,11 +210,11 @@ class SearchResult:
         return f"<{self.session.trials.space.name}: {self.session.summary}. {basis}>"
 
     def data(self) -> dict[str, object]:
-        """Return the content of findings.json; empty if a full disk ended the search."""
+        """Return the content of findings.json, or an empty dictionary if a full disk ended the search."""
         return {} if self.evidence is None else as_json(self.session.trials, self.evidence)
 
     def write(self, folder: str | Path, output: Output = QUIET) -> SearchResult:
-        """Write fuzz.html, findings.json, coverage.svg, and a file for each finding that has no file yet.
+        """Write fuzz.html, findings.json, coverage.svg, and a file for each finding without a file.
 
         The method finishes writing even if the user has pressed Ctrl-C once.
 
@@ -244,7 +246,7 @@ class SearchResult:
         return replace(made, interrupted=self.interrupted or given_up())
 
     def kept(self, folder: Path, output: Output) -> SearchResult:
-        """Write the files, report any error, and name the command that runs the counterexamples."""
+        """Write the files, report any error, and print the command that runs the counterexamples."""
         made = self
         if self.unwritable is None:
             try:
@@ -263,7 +265,7 @@ class SearchResult:
 
 
 def _write_interim(session: SearchSession) -> None:
-    """Write a page with the findings now, because explaining them may take long or be interrupted."""
+    """Write a page with the present findings, because the explanations may take long or be interrupted."""
     if session.keeps and session.findings.found_any and session.unwritable is None:
         unfinished = copy(session.findings)
         unfinished.interrupted = True  # the page says so unless a later page replaces it
@@ -339,9 +341,10 @@ def fuzz_command(session: SearchSession) -> str:
 
 
 def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
-    """Return the search as JSON: counts, least margins, groups of violations with their points, and coverage.
+    """Return the search as JSON.
 
-    All values are in SI units.
+    The data contain counts, least margins, coverage, and the groups of violations with their points. All
+    values are in SI units.
     """
     findings, baseline = evidence.findings, evidence.baseline
     return {
@@ -395,12 +398,12 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
 
 
 def _held(against: Against) -> dict[str, object]:
-    """Return the comparison with the reference as JSON, without its list of runs."""
+    """Return the comparison with the reference as JSON, but without the comparison's list of runs."""
     return {key: value for key, value in against.as_json().items() if key != "runs"}
 
 
 def _leads(goal: Goal, margin: float) -> bool:
-    """Return whether ``margin`` is only a score of the search, because the search found no difference."""
+    """Return whether ``margin`` only guides the search and is no difference that counts as a finding."""
     return bool(goal.against) and margin >= 0.0
 
 
@@ -423,7 +426,7 @@ def _of_claims(findings: Findings) -> list[dict[str, object]]:
 
 
 def _file_of(group: Group, evidence: SearchEvidence) -> str | None:
-    """Return the name of the counterexample file to which ``group`` was shrunk; None if it has no file."""
+    """Return the name of the counterexample file for ``group``, or None if the group has no file."""
     return next((shown.path.name for shown in evidence.shown if group in shown.groups), None)
 
 

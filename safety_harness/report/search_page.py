@@ -48,12 +48,13 @@ INKS = (Ink.TCP, Ink.HAND_2)  # the search, the baseline
 class SearchEvidence:
     """The content of the page.
 
-    ``fallback`` states how often the fallback replaced the avoider, if it did.  ``repeated`` holds the
-    answers of a second avoider; None if it was not asked.  ``baseline`` is the uniform sampling with the same
-    budget, if the user requested it.  ``unconfirmed`` are the findings that a reference world does not show;
-    ``confirmed`` counts those that all of ``confirmed_in`` show.  ``not_found`` are claims that the space
-    expects to be violated, but that no counterexample violates.  ``unconfirmable`` states why nothing was
-    confirmed, if no reference was available.  ``searched`` is the searched world.
+    ``fallback`` states how often the fallback replaced the avoider, and is empty if this never occurred.
+    ``repeated`` holds the answers of a second avoider, or None if there was no second avoider. ``baseline``
+    holds the findings of uniform sampling with the same budget, if the user requested it. ``unconfirmed``
+    lists the findings that a reference world does not show. ``confirmed`` counts the findings that every
+    world in ``confirmed_in`` shows. ``not_found`` lists the claims for which the space expects a violation
+    although no counterexample violates them. If no reference was available, ``unconfirmable`` states why no
+    finding was confirmed. ``searched`` is the searched world.
     """
 
     title: str
@@ -92,7 +93,10 @@ class SearchEvidence:
 
     @property
     def rest_command(self) -> str:
-        """The command that explains the remaining examples; empty if no example remains."""
+        """The command that explains the remaining examples.
+
+        The command is empty if no example remains.
+        """
         more = self.causes.unasked and not self.findings.interrupted
         return f"{self.command} --explain all" if more else ""
 
@@ -103,7 +107,10 @@ class SearchEvidence:
 
 
 def render(evidence: SearchEvidence) -> str:
-    """Return the page as text; the same evidence always results in the same bytes."""
+    """Return the page as text.
+
+    The same evidence always results in the same bytes.
+    """
     findings, baseline = evidence.findings, evidence.baseline
     searches = [findings] if baseline is None else [findings, baseline]
     replays = Replays()
@@ -168,7 +175,10 @@ def map_of(evidence: SearchEvidence) -> str:
 
 
 def _claim_line(findings: Findings, claim: int) -> dict[str, str]:
-    """Return a claim's row for one search: how often and how early it was violated, and the least margin."""
+    """Return a claim's table row for one search.
+
+    The row contains the number of violations, the number of the first violating run, and the least margin.
+    """
     first, nearest = int(findings.first_violation[claim]), findings.nearest[claim]
     goal = findings.goals[claim]
     least = "\u2013" if nearest is None else with_minus(goal.margin_text(float(nearest.margins[claim])))
@@ -180,7 +190,10 @@ def _claim_line(findings: Findings, claim: int) -> dict[str, str]:
 
 
 def _group_row(findings: Findings, group: Group) -> tuple[str, str, str, int, int]:
-    """Return a group's row: sentence, kind, worst margin, number of runs, number of the worst run."""
+    """Return a group's table row.
+
+    The row contains the sentence, kind, worst margin, number of runs, and the number of the worst run.
+    """
     margin = "\u2013"
     if group.claim is not None:
         margin = with_minus(findings.goals[group.claim].margin_text(group.worst_margin()))
@@ -220,7 +233,7 @@ def _section(shown: WrittenCounterexample, number: int, replays: Replays) -> dic
 
 
 def _view_of(complaint: Complaint, world: InOneWorld | None, prefix: str) -> dict[str, object]:
-    """Return how a finding looks in one world: in words, and drawn from above and from the side."""
+    """Return the values that show a finding in one world, both in words and in drawings."""
     run = None if world is None else world.run
     evaluations: tuple[Evaluation, ...] = ()
     verdict, drawn = "inconclusive", None
@@ -237,7 +250,10 @@ def _view_of(complaint: Complaint, world: InOneWorld | None, prefix: str) -> dic
 def _pictures(
     run: Trace | None, evaluations: tuple[Evaluation, ...], complaint: Complaint, prefix: str, most: int = 4
 ) -> dict[str, Any]:
-    """Return the first ``most`` drawings of a run, and the moment that they show; empty without a run."""
+    """Return the first ``most`` drawings of a run, and the moment that they show.
+
+    The values are empty if there is no run.
+    """
     if run is None or len(run.ticks) == 0:
         return {"views": (), "moment_time": "", "moment_of": ""}
     judged = JudgedRun(run, evaluations, "").under_claim(complaint.sentence)
@@ -251,7 +267,10 @@ def _pictures(
 
 
 def _part_lines(evaluation: Evaluation, depth: int) -> list[dict[str, object]]:
-    """Return rows for an evaluation at ``depth`` steps below the claim, and for its conjuncts below it."""
+    """Return a table row for an evaluation, and a row for each of its conjuncts.
+
+    ``depth`` is the number of steps from the claim down to the evaluation.
+    """
     own: dict[str, object] = {
         "depth": depth,
         "verdict": evaluation.verdict.value,
@@ -263,11 +282,12 @@ def _part_lines(evaluation: Evaluation, depth: int) -> list[dict[str, object]]:
 
 
 def progress_figure(searches: list[Findings], *, prefix: str) -> str:
-    """Return the least margins found so far as an ``<svg>`` element with a panel for each claim.
+    """Draw how the least margins decreased during the search.
 
-    The second search, if any, is the baseline.  The axis of runs is logarithmic; a cross marks the first
-    violation.  The text is empty if no claim has a margin yet.  It is also empty with a reference, because a
-    search against a reference has scores in place of margins.
+    The result is an ``<svg>`` element with a panel for each claim. The second search, if any, is the
+    baseline. The axis of runs is logarithmic, and a cross marks the first violation. The text is empty if no
+    claim has a margin yet. The text is also empty for a search against a reference, which has scores instead
+    of margins.
     """
     goals = searches[0].goals
     claims = [k for k in range(len(goals)) if any(findings.improvements[k] for findings in searches)]

@@ -1,4 +1,7 @@
-"""Report what the shields of runs did: when, by how much, for which part of the arm, and for which hand."""
+"""Report how a shield slowed the arm in a run.
+
+The report states when and how strongly the shield acted, for which part of the arm, and for which hand.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,10 @@ NOTHING_SEEN = "before the first frame"
 
 
 def slowed_by_part(trace: Trace) -> Counter[str]:
-    """Return the number of slowed ticks for each part of the arm, by name; empty without a shield."""
+    """Count the slowed ticks for each part of the arm, and return the counts by the name of the part.
+
+    The result is empty without a shield.
+    """
     done, names = trace.interventions, capsules_of(trace).names
     slowed = done["capsule"][done["scale"] < 1.0].tolist()
     return Counter(names[k].replace("_", " ") if k >= 0 else NOTHING_SEEN for k in slowed)
@@ -32,7 +38,8 @@ def slowed_by_part(trace: Trace) -> Counter[str]:
 class Slowing:
     """A stretch of ticks in which a shield slowed the arm.
 
-    ``least_scale`` is the lowest speed scale, and ``part`` and ``hand`` are its cause at that tick.
+    ``least_scale`` is the lowest speed scale. ``part`` is the part of the arm that caused this scale, and
+    ``hand`` is the hand nearest to this part at that tick.
     """
 
     from_s: float
@@ -50,7 +57,7 @@ class Slowing:
 
 
 def slowings(trace: Trace) -> list[Slowing]:
-    """Return each slowed stretch in order of time; empty without a shield."""
+    """Return all slowed stretches in order of time, or an empty list without a shield."""
     slowed = np.concatenate([[False], trace.interventions["scale"] < 1.0, [False]])
     edges = np.flatnonzero(slowed[1:] != slowed[:-1]).reshape(-1, 2)
     return [_slowing(trace, int(begin), int(end)) for begin, end in edges]
@@ -72,9 +79,10 @@ def _slowing(trace: Trace, begin: int, end: int) -> Slowing:
 
 
 def shield_data(trace: Trace) -> dict[str, Any] | None:
-    """Return the ``ticks``, ``slowed``, ``by_part`` and ``least_scale`` of a run with a shield, else None.
+    """Return data on the shield of a run, or None if the run has no shield.
 
-    The data also contain the slowed stretches and the assumptions that the run broke.
+    The data contain ``ticks``, ``slowed``, ``by_part`` and ``least_scale``. The data also contain the slowed
+    stretches and the assumptions that the run broke.
     """
     if len(trace.interventions) == 0:
         return None
@@ -90,7 +98,7 @@ def shield_data(trace: Trace) -> dict[str, Any] | None:
 
 
 def shield_lines(traces: Iterable[Trace]) -> list[str]:
-    """Return the lines on all runs with a shield; empty if no run has a shield."""
+    """Return lines that summarise all runs with a shield, or an empty list if no run has a shield."""
     shielded = [trace for trace in traces if len(trace.interventions)]
     if not shielded:
         return []

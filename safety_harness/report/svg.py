@@ -1,8 +1,8 @@
-"""Provide the parts that all drawings share: colours, thinned curves, plain text, standalone files.
+"""Provide the parts that all drawings use: colours, thinned curves, plain text and standalone files.
 
-A page follows the reader's light or dark scheme, so colours are CSS variables, ``var(--fig-...)``.  The style
-sheet sets them to the colours of Okabe and Ito, which colour-blind readers can distinguish.  It darkens or
-lightens them for contrast with the page.
+A page follows the reader's light or dark scheme. Colours are therefore CSS variables, ``var(--fig-...)``. The
+style sheet sets these variables to the colours of Okabe and Ito, which colour-blind readers can distinguish.
+The style sheet darkens or lightens the colours for contrast with the page.
 """
 
 from __future__ import annotations
@@ -75,15 +75,18 @@ def plain(text: str, *, longest: int = 28) -> str:
 
 
 def ticks_per_column(count: int, columns: int) -> int:
-    """Return how many consecutive ticks share one of ``columns`` columns (1: a column for each tick)."""
+    """Return how many consecutive ticks are drawn in one column if there are ``columns`` columns.
+
+    The result is 1 if there are at most two ticks per column.
+    """
     return 1 if count <= 2 * columns else -(-count // columns)
 
 
 def keep_extremes(time_s: Floats, values: Floats, columns: int) -> tuple[Floats, Floats]:
-    """Return the smallest and the largest value of every column, at their own times and in order of time.
+    """Return the smallest and the largest value of every column, with their times, in order of time.
 
-    The result has at most 2 ``columns`` points, and includes the first and last finite samples.  If there are
-    no more than 2 ``columns`` ticks, it contains all of them.  A column without a finite value becomes one
+    The result has at most 2 ``columns`` points, and includes the first and last finite samples. If there are
+    at most 2 ``columns`` ticks, the result contains all ticks. A column without a finite value becomes one
     NaN, so that the line breaks there.
 
     Args:
@@ -97,6 +100,7 @@ def keep_extremes(time_s: Floats, values: Floats, columns: int) -> tuple[Floats,
     width = ticks_per_column(count, columns)
     if width == 1:
         return time_s, values
+    # A table with a row for each column of the drawing; the last row is filled with NaN.
     rows = -(-count // width)
     padded = np.full(rows * width, np.nan)
     padded[:count] = values
@@ -112,14 +116,14 @@ def keep_extremes(time_s: Floats, values: Floats, columns: int) -> tuple[Floats,
 
 
 def spans(time_s: Floats, mask: NDArray[np.bool_], end_s: float, columns: int) -> list[tuple[float, float]]:
-    """Return the stretches (start, length) [s] in which ``mask`` is true; a tick lasts until the next one.
+    """Return the intervals (start, length) [s] in which ``mask`` is true.
 
-    The function closes gaps that are shorter than a column, because the eye cannot resolve them in a
-    flickering mode.  It never omits a tick at which ``mask`` is true.
+    Each tick lasts until the next tick. The function closes gaps that are narrower than a column, because
+    they would not be visible in the drawing. The function never omits a tick at which ``mask`` is true.
 
     Args:
         time_s: The times (n,) [s] of the ticks.
-        mask: The ticks (n,) to show.
+        mask: True at the ticks (n,) to show.
         end_s: The end of the last tick [s].
         columns: The number of columns of the drawing.
 
@@ -131,6 +135,7 @@ def spans(time_s: Floats, mask: NDArray[np.bool_], end_s: float, columns: int) -
     stretches: list[tuple[float, float]] = []
     for index in np.flatnonzero(mask):
         start, end = float(time_s[index]), float(ends[index])
+        # The gap is narrower than a column, so extend the previous interval.
         if stretches and start - (stretches[-1][0] + stretches[-1][1]) < shortest_s:
             stretches[-1] = (stretches[-1][0], end - stretches[-1][0])
         else:
@@ -139,7 +144,10 @@ def spans(time_s: Floats, mask: NDArray[np.bool_], end_s: float, columns: int) -
 
 
 def describe(root: ElementTree.Element, *, prefix: str, title: str, description: str) -> None:
-    """Add a title and a description for screen readers to an ``<svg>``; their ids start with ``prefix``."""
+    """Add a title and a description for screen readers to an ``<svg>``.
+
+    The ids of both start with ``prefix``.
+    """
     root.set("role", "img")
     root.set("aria-labelledby", f"{prefix}title {prefix}desc")
     for name, text, place in (("title", title, 0), ("desc", description, 1)):
@@ -149,9 +157,10 @@ def describe(root: ElementTree.Element, *, prefix: str, title: str, description:
 
 
 def standalone(svg: str, *, style: str) -> str:
-    """Return an ``<svg>`` element of a page as a separate file, which is light or dark like the page.
+    """Convert an ``<svg>`` element of a page to the text of a standalone file.
 
-    ``style`` is the page's style sheet, which defines the colours of the figures.
+    Like the page, the file follows the reader's light or dark scheme. ``style`` is the page's style sheet,
+    which defines the colours of the figures.
     """
     root = ElementTree.fromstring(svg)
     root.set("xmlns", "http://www.w3.org/2000/svg")
@@ -167,6 +176,6 @@ def standalone(svg: str, *, style: str) -> str:
 
 
 def _schemes(style: str) -> tuple[str, str]:
-    """Return the two parts of a style sheet: the rules for light paper and those for dark paper."""
+    """Return two parts of a style sheet: the rules for light paper and the rules for dark paper."""
     light, _, rest = style.partition("@media screen and (prefers-color-scheme: dark)")
     return light, rest.partition("body {")[0]

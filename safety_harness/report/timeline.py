@@ -1,8 +1,8 @@
-"""Draw one run over time: eight panels on one time axis, and a common backdrop behind them.
+"""Draw one run over time, in eight panels with a common time axis and a common background.
 
-A labelled horizontal line shows a limit.  It is drawn only in the panel of the quantity that it limits.  The
-length in a claim is drawn with the distance between surfaces.  The critical distance is drawn with the
-distance to the predicted hand's centre.
+A labelled horizontal line shows a limit. Each limit is drawn only in the panel of the quantity that it
+limits. The length in a claim is drawn with the distance between surfaces. The critical distance is drawn with
+the distance to the predicted hand's centre.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from safety_harness.trace.records import DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import decided, measured
 
-PANEL_PX = 882.0
+PANEL_PX = 882.0  # width; a choice
 COLUMNS = int(PANEL_PX / 2.0)  # a column is as wide as a line, which covers the column's two extremes
 MM, DEGREES = 1e3, 180.0 / np.pi
 
@@ -54,7 +54,8 @@ MOST_DECADES = 4  # steps between the labels of a logarithmic axis
 LABEL_PX = 13.0  # the height of a limit's name
 LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX, GAP_PX = 104.0, 14.0, 22.0, 42.0, 34.0
 WIDTH_PX = LEFT_PX + PANEL_PX + RIGHT_PX
-TIME_STEPS = 10
+TIME_STEPS = 10  # between the ticks of the time axis, at most
+# One for each panel, in the order of COLUMNS_SHOWN.
 HEIGHTS_PX = (112.0, 116.0, 92.0, 92.0, 92.0, 92.0, 92.0, 116.0)
 COLUMNS_SHOWN = (  # the columns that each panel shows
     ("mode",),
@@ -84,7 +85,7 @@ Line = tuple[str, Floats, Ink, tuple[float, ...]]  # name, (n,) values, colour, 
 
 
 def thinning(trace: Trace) -> int:
-    """Return how many consecutive ticks one drawn column represents."""
+    """Return the number of consecutive ticks in one drawn column."""
     return ticks_per_column(len(trace.ticks), COLUMNS)
 
 
@@ -157,6 +158,7 @@ def _hatch_unmeasured(axes: Axes, trace: Trace, names: Sequence[str], end_s: flo
         there &= known if known.ndim == 1 else known[:, :hands].all(axis=1)
     if not there.all():
         low, high = axes.y.view()
+        # Fix the view first, so that the bars do not extend it.
         axes.y.show(low, high)
         axes.bars(spans(trace.time_s, ~there, end_s, COLUMNS), (low, high), Ink.MISSING, hatched=True)
     if not there.any():
@@ -171,7 +173,10 @@ def _add_axes(picture: Picture, top: float, height: float, end_s: float) -> Axes
 
 
 def _shade(backdrop: Axes, trace: Trace, end_s: float) -> None:
-    """Tint the times of all modes but servoing behind all panels; hatch the time after an early end."""
+    """Tint the background of all panels for every mode except servoing.
+
+    Hatch the time after an early end.
+    """
     ticks_end_s = min(end_s, float(trace.time_s[-1]) + trace.scenario.settings.clock.control_period_s)
     known = measured(trace, "mode")
     for mode in (Mode.REPULSING, Mode.PROTECTIVE_STOP, Mode.OBJECT_LOST):
@@ -183,7 +188,10 @@ def _shade(backdrop: Axes, trace: Trace, end_s: float) -> None:
 
 
 def _mark_moments(backdrop: Axes, run: JudgedRun) -> None:
-    """Draw decisions as thin lines, and each claim's worst moment as a line that is solid for a violation."""
+    """Draw a thin line at each decision, and a line at each claim's worst moment.
+
+    The line of a violation is solid.
+    """
     asked_s = run.trace.decisions["time_s"]
     ups = np.tile([0.0, 1.0, np.nan], len(asked_s))
     backdrop.line(np.repeat(asked_s, 3), ups, Ink.TEXT, width=0.6, opacity=0.45)
@@ -206,7 +214,7 @@ def _mark_moments(backdrop: Axes, run: JudgedRun) -> None:
 
 
 def _mode_panel(axes: Axes, trace: Trace, end_s: float) -> None:
-    """Draw a lane for each mode, a mark above them for each decision, and the times of faults."""
+    """Draw a lane for each mode, a lane with a mark for each decision, and the times at which faults act."""
     ticks_end_s = min(end_s, float(trace.time_s[-1]) + trace.scenario.settings.clock.control_period_s)
     known = measured(trace, "mode")
     for lane, mode in enumerate(Mode):
@@ -226,7 +234,10 @@ def _mode_panel(axes: Axes, trace: Trace, end_s: float) -> None:
 
 
 def _mark_decisions(axes: Axes, trace: Trace) -> None:
-    """Draw a mark for each decision, whose shape shows the outcome; a ring marks an unusable answer."""
+    """Draw a mark for each decision.
+
+    The mark's shape shows the outcome, and a ring shows an unusable answer.
+    """
     decisions = trace.decisions
     if not decided(trace, "time_s", "outcome", "fault"):
         return
@@ -270,13 +281,13 @@ OF_SHAPES = "Feature errors, \u03b3 and \u03b4 (no unit), \u03b1 (rad)"
 def error_panel(
     axes: Axes, trace: Trace, title: str, errors: Floats, names: Iterable[tuple[str, Ink]]
 ) -> None:
-    """Draw the feature errors (n, 3), named by ``names``, where the object was in view."""
+    """Draw the feature errors (n, 3), with the names ``names``, while the object was in view."""
     lines = [(name, errors[:, i], ink, DASHES[i]) for i, (name, ink) in enumerate(names)]
     _panel(axes, trace, title, lines, zero=True)
 
 
 def sse_panel(axes: Axes, trace: Trace) -> None:
-    """Draw |f - f*|^2 (eq. 15) on a logarithmic axis, with the threshold of the gain switch."""
+    """Draw |f - f*|^2 (eq. 15) on a logarithmic axis, and the threshold at which the gain switches."""
     sse = _seen(trace, "sse")
     positive = np.where(sse > 0.0, sse, np.nan)
     switch = trace.scenario.settings.servo.gain_switch_sse
@@ -288,7 +299,7 @@ def sse_panel(axes: Axes, trace: Trace) -> None:
 
 
 def _whole_decades(axes: Axes, least: float, most: float) -> None:
-    """Extend a logarithmic axis to whole decades, with labels at least at its two ends."""
+    """Extend a logarithmic axis to whole decades, so that at least its two ends have labels."""
     low = int(np.floor(np.log10(least)))
     high = max(int(np.ceil(np.log10(most))), low + 1)
     step = -(-(high - low) // MOST_DECADES)
@@ -310,13 +321,16 @@ def speed_panel(axes: Axes, run: JudgedRun) -> None:
 
 
 def _claimed(run: JudgedRun, limit_of: Callable[[Evaluation], float | None]) -> list[tuple[str, float]]:
-    """Return (name, value [mm or mm/s]) for each claim that names a limit of this quantity."""
+    """Return (name, value [mm or mm/s]) for each claim that states a limit of this quantity."""
     limits = [(number, limit_of(judged)) for number, judged in enumerate(run.evaluations, start=1)]
     return [(f"claim {number}", limit * MM) for number, limit in limits if limit is not None]
 
 
 def joint_panel(axes: Axes, trace: Trace) -> None:
-    """Draw the joint angles; the joints of a user's own arm are named by their numbers."""
+    """Draw the joint angles.
+
+    The joints of a user's own arm have numbers as names.
+    """
     angles = (trace.ticks["joint_position_rad"] * DEGREES).T
     ours = not isinstance(trace.scenario.robot, OwnRobot)
     names = UR_JOINTS if ours else [f"joint {number}" for number in range(1, len(angles) + 1)]
@@ -326,14 +340,14 @@ def joint_panel(axes: Axes, trace: Trace) -> None:
 
 
 def _seen(trace: Trace, name: str) -> Floats:
-    """Return a field of the image where the object was in view, and NaN at the other ticks."""
+    """Return a field of the image, with NaN at the ticks at which the object was not in view."""
     visible = trace.ticks["object_visible"]
     values: Floats = trace.ticks[name]
     return np.where(visible.reshape(-1, *[1] * (values.ndim - 1)), values, np.nan)
 
 
 def _panel(axes: Axes, trace: Trace, title: str, lines: list[Line], *, zero: bool = False) -> None:
-    """Draw a panel: the title at the left, a key at the right, and the curves ``lines``."""
+    """Draw a panel with the curves ``lines``, its title at the left and its key at the right."""
     axes.x.grid = axes.y.grid = True
     if zero:
         axes.hline(0.0, Ink.MUTED)
@@ -345,10 +359,10 @@ def _panel(axes: Axes, trace: Trace, title: str, lines: list[Line], *, zero: boo
 
 
 def _limit_lines(axes: Axes, limits: list[tuple[str, float]]) -> None:
-    """Draw horizontal limits (name, value) with names at their right ends, and extend the view to them.
+    """Draw horizontal limits (name, value) with their names at the right end.
 
-    Limits of the same value share a line and a label.  A label that would cover another label moves to the
-    left.
+    Extend the view to these limits. Limits with the same value have one common line and label. If a label
+    would cover another label, it moves to the left.
     """
     named: dict[float, list[str]] = {}
     for name, value in limits:

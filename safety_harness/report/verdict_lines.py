@@ -1,4 +1,4 @@
-"""Print verdicts as lines of a terminal: one run in full, or only the surprises of many runs."""
+"""Print verdicts on a terminal: all verdicts of a single run, or only unexpected verdicts of many runs."""
 
 from __future__ import annotations
 
@@ -24,15 +24,16 @@ LONGEST = 60  # characters to which the sentences of claims are padded
 
 @dataclass(frozen=True)
 class ClaimLine:
-    """The verdict on one claim of a run, in words.
+    """The texts that describe the verdict on one claim of a run.
 
     Args:
         run: The scenario's name.
         sentence: The sentence of the claim.
         evaluation: The evaluation of the claim.
-        words: The verdict, such as "holds" or "violated, as expected"; in capitals if the file expects
-            another.
-        remark: What the file expects instead, or of which avoider it expects this; empty if nothing differs.
+        words: The verdict, such as "holds" or "violated, as expected". It is in capitals if the file expects
+            another verdict.
+        remark: The verdict that the file expects instead, or the avoider for which the file expects this
+            verdict. In all other cases, the text is empty.
         differs: Whether the file expects another verdict.
 
     """
@@ -46,13 +47,13 @@ class ClaimLine:
 
     @property
     def moment(self) -> str:
-        """The time of the margin; a dash if there is no margin."""
+        """The time of the margin, or a dash if there is no margin."""
         time_s = self.evaluation.worst_time_s
         return "-" if time_s is None or self.evaluation.margin is None else f"{time_s:.3f} s"
 
     @property
     def margin(self) -> str:
-        """The margin and its moment; empty if there is no margin."""
+        """The margin and its moment, or an empty text if there is no margin."""
         if self.evaluation.margin is None:
             return ""
         when = "" if self.moment == "-" else f" at {self.moment}"
@@ -60,7 +61,11 @@ class ClaimLine:
 
     @property
     def rank(self) -> tuple[bool, int, float]:
-        """The sort key, worst first: surprises, then the gravest verdict, then the scaled margin."""
+        """The key by which claims are sorted.
+
+        Unexpected verdicts come first. Then graver verdicts come first, and then smaller margins. Each margin
+        is divided by the scale of its unit.
+        """
         evaluation = self.evaluation
         margin = inf if evaluation.margin is None else evaluation.margin / SCALES[evaluation.unit]
         return not self.differs, SEVERITY.index(evaluation.verdict), margin
@@ -84,7 +89,10 @@ def lines_of(run: JudgedRun) -> Iterator[ClaimLine]:
 
 
 def every_line(run: JudgedRun) -> Iterator[str]:
-    """Yield a line for each claim of a run, on missing measurements, the nearest hand, and the system."""
+    """Yield a line for each claim of a run.
+
+    Further lines state missing measurements, the nearest hand, and the tested system.
+    """
     for line in lines_of(run):
         columns = f"{line.words:<25} {line.evaluation.margin_text():>13} at {line.moment:>9}"
         yield f"{columns}  {line.run}: {line.sentence}{line.remark}"
@@ -96,10 +104,11 @@ def every_line(run: JudgedRun) -> Iterator[str]:
 
 
 def block_of(run: JudgedRun) -> Iterator[str]:
-    """Yield the lines on a single run: what was tested, the claims (worst first), and the nearest hand.
+    """Yield the lines on a single run.
 
-    The nearest hand appears as the reason of the first claim that it decides.  If it decides none, it is the
-    last line.
+    The lines state the tested system, then the claims, and then the nearest hand. The worst claim comes
+    first. If the nearest hand explains a claim's verdict, the line on this hand follows the first such claim.
+    Otherwise, the line on this hand comes last.
     """
     lines = sorted((line for line in lines_of(run) if line.evaluation.applicable), key=lambda line: line.rank)
     yield f"{tested_line(run)}, in {made_in(run.trace)}, seed {run.trace.scenario.seed}"
@@ -116,10 +125,11 @@ def block_of(run: JudgedRun) -> Iterator[str]:
 
 
 def nearest_hand_words(trace: Trace) -> str:
-    """Say which hand came how near to which part of the arm, and when; "contact" if it touched the arm.
+    """Describe the nearest approach of a hand: distance, hand, part of the arm, and time.
 
-    For a simulated contact, the text adds the highest speeds of hand and tool just before it.  The text is
-    empty for a run without hands, or if the distance was not measured.
+    The text begins with "contact" if the hand touched the arm. For a simulated contact, the text adds the
+    highest speeds of hand and tool shortly before the contact. The text is empty for a run without hands, or
+    if the distance was not measured.
     """
     nearest = nearest_hand(trace)
     if nearest.margin is None or nearest.worst_time_s is None:
@@ -139,7 +149,7 @@ def nearest_hand_words(trace: Trace) -> str:
 
 
 def surprise_lines(runs: Sequence[JudgedRun]) -> Iterator[str]:
-    """Yield each verdict of ``runs`` that differs from the expected one, then the inconclusive verdicts."""
+    """Yield a line for each unexpected verdict of ``runs``, and then for each inconclusive verdict."""
     lines = [line for run in runs for line in lines_of(run) if line.evaluation.applicable]
     differing = sorted((line for line in lines if line.differs), key=lambda line: line.rank)
     undecided = [
@@ -154,5 +164,5 @@ def surprise_lines(runs: Sequence[JudgedRun]) -> Iterator[str]:
 
 
 def tested_line(run: JudgedRun) -> str:
-    """Return what was tested in ``run``."""
+    """Return a line that states the scenario and the tested system of ``run``."""
     return f"tested in {run.trace.scenario.name}: {tested_words(run.trace.scenario, run.trace.system)}"

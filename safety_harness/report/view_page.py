@@ -1,4 +1,4 @@
-"""Write one self-contained page that replays one stored run in 3-D, or two runs side by side in step."""
+"""Write one self-contained page with the 3-D replay of one run, or of two synchronous runs side by side."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ LANES = ("one", "two")
 
 
 def write_view(path: Path, runs: Sequence[tuple[str, JudgedRun]]) -> None:
-    """Write the page of one or two runs (name, run), each with at least one tick.
+    """Write the page of one or two runs.
 
-    Raise OSError if the page cannot be written.
+    Each item of ``runs`` is a pair (name, run), and each run has at least one tick. Raise OSError if the page
+    cannot be written.
     """
     replays = Replays()
     lanes = LANES if len(runs) == len(LANES) else ("",)

@@ -1,4 +1,4 @@
-"""Write numbers, settings and codes of a trace for people: in millimetres, degrees and plain names."""
+"""Write numbers, settings and codes of a trace as text for people, for example in millimetres or degrees."""
 
 from __future__ import annotations
 
@@ -60,7 +60,10 @@ _PER_METRE = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 
 
 def with_minus(text: str) -> str:
-    """Return ``text`` with a minus sign for each hyphen before a number, except for hyphens within names."""
+    """Replace each hyphen before a number in ``text`` by a minus sign.
+
+    Hyphens within names stay.
+    """
     return re.sub(r"(?<!\w)-(?=[\d.])|(?<=\de)-(?=\d)", "\u2212", text)
 
 
@@ -70,9 +73,9 @@ def count_words(count: int, singular: str, plural: str) -> str:
 
 
 def margin_words(evaluation: Evaluation) -> str:
-    """Return the margin with its sign and unit; a dash if there is no margin.
+    """Return the margin with its sign and unit, or a dash if there is no margin.
 
-    The words "at least" mark a margin beyond which the harness did not search.
+    The text begins with "at least" if the margin lies beyond the distance that the harness searches.
     """
     margin_m = evaluation.margin
     if evaluation.sentence in _REACHABLE and margin_m is not None and margin_m >= BEYOND_M - 1e-9:
@@ -82,20 +85,20 @@ def margin_words(evaluation: Evaluation) -> str:
 
 
 def milliseconds_words(time_s: float) -> str:
-    """Return a duration in ms with two significant digits, or all digits before the decimal point."""
+    """Return a duration in ms, with two significant digits below 10 ms and without decimals from 10 ms on."""
     shown = time_s * 1e3
     return f"{shown:.0f} ms" if shown >= 10.0 else f"{shown:.2g} ms"
 
 
 def spread_words(spread_m: Array3, threshold_m: float) -> str:
-    """Return the largest axis of a predictive spread [mm] with the limit of the avoider.
+    """Return the largest axis of a predictive spread [mm], compared with the avoider's threshold.
 
-    The text is empty for an avoider without spread and threshold.  It has enough digits to show which of the
-    two numbers is larger.
+    The text is empty for an avoider that has no spread and no threshold. The text has enough digits to show
+    which of the two numbers is larger.
 
     Args:
         spread_m: The spread (3,) [m].
-        threshold_m: The avoider's threshold [m]; not finite if the avoider has none.
+        threshold_m: The avoider's threshold [m], which is not finite if the avoider has no threshold.
 
     """
     limited = bool(np.isfinite(threshold_m))
@@ -114,7 +117,7 @@ def spread_words(spread_m: Array3, threshold_m: float) -> str:
 
 
 def point_words(position_m: Array3) -> str:
-    """Return a position in whole millimetres; a dash if it is not finite."""
+    """Return a position in whole millimetres, or a dash if the position is not finite."""
     if not np.all(np.isfinite(position_m)):
         return "\u2013"
     whole = np.rint(position_m * 1e3).astype(np.int64)
@@ -122,13 +125,13 @@ def point_words(position_m: Array3) -> str:
 
 
 def flag_words(flags: IntFlag) -> str:
-    """Return the names of the set flags, in words."""
+    """Return the names of all flags that are set, as words."""
     names = ((flag.name or str(flag.value)).lower().replace("_", " ") for flag in flags)
     return ", ".join(names).replace("tcp", "TCP")
 
 
 def failed_words(proposed: Check, opposite: Check, fault: str = "") -> str:
-    """Return the checks that a decision's two candidates failed, and why an answer was unusable."""
+    """Describe the checks that a decision's two candidates failed, and the reason for an unusable answer."""
     parts = []
     for name, check in (("proposed", proposed), ("opposite", opposite)):
         if check:
@@ -139,7 +142,10 @@ def failed_words(proposed: Check, opposite: Check, fault: str = "") -> str:
 
 
 def setting_words(name: str, value: object) -> str:
-    """Return the value of a setting in a common unit, which the suffix of ``name`` determines."""
+    """Return the value of a setting in a common unit.
+
+    The suffix of ``name`` determines the unit.
+    """
     if isinstance(value, Enum):
         return str(value.value)
     if isinstance(value, DecisionTimes):
@@ -162,19 +168,22 @@ def _numbers(value: Any, factor: float) -> str:
 
 
 def changed_settings(settings: Settings) -> list[tuple[str, str, str]]:
-    """Return (name, default, this run) for every setting that differs from ``DEFAULTS``."""
+    """Return (name, default, value in this run) for every setting that differs from ``DEFAULTS``."""
     return list(_changes("", DEFAULTS, settings))
 
 
 def changes(scenario: Scenario) -> list[tuple[str, str, str]]:
-    """Return (setting, default, this run) for each difference; the robot and its drives come first."""
+    """Return (setting, default, value in this run) for each changed setting.
+
+    The robot and its drives come first.
+    """
     robot = [("robot", Robot.UR10.value, scenario.robot.label)] if scenario.robot is not Robot.UR10 else []
     drives = drives_as_modelled(scenario.robot, scenario.settings.clock.control_period_s)
     return robot + drives + changed_settings(scenario.settings)
 
 
 def tested_words(scenario: Scenario, system: SystemUnderTest) -> str:
-    """Return what a verdict is about: avoider or controller, shield, gate, and each changed setting."""
+    """Describe the tested system: its avoider or controller, shield, gate, and changed settings."""
     shield = [] if scenario.shield is None else [f"shield {scenario.shield.kind.value}"]
     shield += [f"safety filter {system.safety_filter.name}"] if system.safety_filter else []
     shield += [f"predictor {system.predictor.name}"] if system.predictor else []
@@ -191,7 +200,7 @@ UNKNOWN_OF_SIMULATOR = (
 def unknown_files(scenario: Scenario) -> str:
     """Return a warning that a program under test may open unknown files.
 
-    The text is empty if the system under test is neither a started nor a listening program.
+    The text is empty if the tested system includes no program that the harness starts or connects to.
     """
     programs = [reference for reference in scenario.parts_under_test if names_a_program(reference)]
     if not programs:
@@ -212,9 +221,10 @@ def _changes(prefix: str, default: Any, own: Any) -> Iterator[tuple[str, str, st
 
 
 def drives_as_modelled(robot: AnyRobot, period_s: float) -> list[tuple[str, str, str]]:
-    """Return (name, default, this run) for the drives of an own arm, rounded and limited as in the model.
+    """Return (name, default, value in this run) for the drives of a user's own arm.
 
-    The list is empty for an arm that states no drives.
+    The values are those of the model, for example the dead time in whole control periods. The list is empty
+    for an arm that states no drives.
     """
     drives = robot.drives if isinstance(robot, OwnRobot) else None
     if drives is None:
@@ -235,7 +245,10 @@ def drives_as_modelled(robot: AnyRobot, period_s: float) -> list[tuple[str, str,
 
 
 def claimed_hand_distance_m(evaluation: Evaluation) -> float | None:
-    """Return the length [m] in a sentence about the hand distance; None unless it has exactly one."""
+    """Return the length [m] in a sentence about the hand distance.
+
+    The result is None for any other sentence, or if the sentence does not have exactly one length.
+    """
     sentence = evaluation.sentence.lower().replace("predicted hand distance", "")
     if evaluation.unit is not Unit.LENGTH or "hand distance" not in sentence:
         return None
@@ -243,7 +256,10 @@ def claimed_hand_distance_m(evaluation: Evaluation) -> float | None:
 
 
 def claimed_tcp_speed_mps(evaluation: Evaluation) -> float | None:
-    """Return the speed [m/s] in a sentence about the TCP speed; None unless it has exactly one."""
+    """Return the speed [m/s] in a sentence about the TCP speed.
+
+    The result is None for any other sentence, or if the sentence does not have exactly one speed.
+    """
     if evaluation.unit is not Unit.SPEED or "tcp speed" not in evaluation.sentence.lower():
         return None
     return _only_number(_SPEED_IN_SENTENCE, evaluation.sentence)

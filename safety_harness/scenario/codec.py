@@ -1,12 +1,14 @@
-"""Declarations of the fields in a file: one declaration serves every use of the field.
+"""Declare the fields of files.
 
-The uses are reading, writing, explaining, tables and the schema.  A field of a ``declared`` dataclass
-declares its name in a file, its kind of value with unit and bounds, its meaning, an example and its default.
-An example is ``speed_mps: float = key("speed", ...)``.  ``table_of`` gathers the keys of a dataclass.
+One declaration of a field serves several uses. The uses are reading, writing, explaining, tables and the
+schema. A field of a ``declared`` dataclass declares its name in a file, its kind of value, its meaning, an
+example and its default. The kind of value includes the unit and the bounds. An example is ``speed_mps: float
+= key("speed", ...)``. ``table_of`` gathers the keys of a dataclass.
 
-A kind of value has three parts.  ``read`` accepts a ``Field`` (ScenarioError with its line).  ``write``
-returns a text that reads back to the same bits.  ``kind`` describes the value for people.  ``schema`` and
-``reference_tables`` use these parts.
+A kind of value has three members. A field of a ``declared`` dataclass declares the name that the field has in
+a file, the kind of its value, its meaning, an example and its default. ``write`` returns a text from which
+``read`` returns exactly the same value. ``kind`` describes the value for people. The modules ``schema`` and
+``reference_tables`` use these members.
 """
 
 from __future__ import annotations
@@ -34,14 +36,17 @@ _ESCAPED = re.compile(r'\\(?:["\\n]|U[0-9a-f]{8})')
 
 
 def scalar_text(text: str) -> str:
-    """Return ``text`` as a YAML scalar, in quotes if any part of it could be read as notation."""
+    """Return ``text`` as a YAML scalar.
+
+    The scalar is in quotes if YAML could interpret any part of the text as YAML syntax.
+    """
     if _PLAIN.fullmatch(text):
         return text
     return '"' + "".join(_ESCAPES.get(c, c if c.isprintable() else f"\\U{ord(c):08x}") for c in text) + '"'
 
 
 def plain_text(scalar: str) -> str:
-    """Return the text that ``scalar_text`` wrote as ``scalar``."""
+    """Return the text that ``scalar_text`` has converted into ``scalar``."""
     if not scalar.startswith('"'):
         return scalar
     return _ESCAPED.sub(lambda escape: _UNESCAPED.get(escape[0]) or chr(int(escape[0][2:], 16)), scalar[1:-1])
@@ -60,7 +65,11 @@ def in_a_line(tree: Tree) -> str | None:
 
 @dataclass(frozen=True)
 class QuantityValue:
-    """A number with a unit, within bounds in SI; the word ``or_word`` may replace it, and is read as None."""
+    """A kind of value: a number with a unit.
+
+    The bounds of the number are in SI. A file may contain the word ``or_word`` instead of the number; the
+    value is then None.
+    """
 
     dimension: Dimension
     above: float | None = None
@@ -88,7 +97,10 @@ class QuantityValue:
 
     @property
     def range_words(self) -> str:
-        """The bounds alone, as in ``1 mm to 2 m``; the value must have a lower and an upper bound."""
+        """The bounds alone, such as ``1 mm to 2 m``.
+
+        The value must have a lower and an upper bound.
+        """
         assert self.least is not None
         assert self.most is not None
         return f"{nice(self.least, self.dimension)} to {nice(self.most, self.dimension)}"
@@ -107,7 +119,7 @@ class QuantityValue:
         return int(value) if self.whole else value
 
     def write(self, value: float | None) -> str:
-        """Return the text of a number in SI, from which ``read`` returns the same number."""
+        """Return the SI number ``value`` as text, from which ``read`` returns the same number."""
         if value is None:
             return self.or_word or ""
         return (
@@ -117,7 +129,10 @@ class QuantityValue:
 
 @dataclass(frozen=True, kw_only=True)
 class _Formed:
-    """A value with its ``kind``, and ``expected`` for messages."""
+    """A kind of value with the description ``kind``.
+
+    The phrase ``expected`` is for messages.
+    """
 
     kind: str
     expected: str = ""
@@ -125,15 +140,17 @@ class _Formed:
 
 @dataclass(frozen=True, kw_only=True)
 class Text(_Formed):
-    """A text, or another value that a file writes as text.
+    """A text, or another value that a file contains as text.
 
     Args:
         kind: The kind of value, for people.
         expected: Completes "expected ..." of a message.
         pattern: The pattern for the schema.
         or_mapping: Whether ``write`` may return a mapping instead of a text.
-        reads: Reads a value that is no text; None: the value is one line of text.
-        writes: Writes a value that is no text; None: the value becomes a YAML scalar.
+        reads: The function that reads a value that is not a text. None means that the value is one line of
+            text.
+        writes: The function that writes a value that is not a text. None means that the value becomes a YAML
+            scalar.
 
     """
 
@@ -143,17 +160,17 @@ class Text(_Formed):
     writes: Callable[[Any], Any] | None = None
 
     def read(self, field: Field) -> Any:
-        """Return the text, or the result of ``reads``."""
+        """Return the text of the field, or the result of ``reads``."""
         return self.reads(field) if self.reads else field.sentence(self.expected)
 
     def write(self, value: Any) -> Any:
-        """Return a YAML scalar, or the result of ``writes``."""
+        """Return the value as a YAML scalar, or the result of ``writes``."""
         return self.writes(value) if self.writes else scalar_text(str(value))
 
 
 @dataclass(frozen=True)
 class Word:
-    """A choice among a few words: the members of an enumeration, or texts."""
+    """A choice among a few words, which are the members of an enumeration or given texts."""
 
     members: type[Enum] | tuple[str, ...]
 
@@ -164,7 +181,7 @@ class Word:
 
     @property
     def kind(self) -> str:
-        """The words as a phrase: ``exact, raster or rendered``."""
+        """The options as a phrase, such as ``exact, raster or rendered``."""
         *first, last = self.options
         return f"{', '.join(first)} or {last}" if first else last
 
@@ -180,7 +197,11 @@ class Word:
 
 @dataclass(frozen=True, kw_only=True)
 class Several(_Formed):
-    """A list of values of one kind: exactly ``count``, or from ``least`` to ``most``."""
+    """A list of values of one kind.
+
+    The list must have exactly ``count`` values; without ``count``, it must have from ``least`` to ``most``
+    values.
+    """
 
     of: Value
     count: int | None = None
@@ -188,26 +209,27 @@ class Several(_Formed):
     most: int | None = None
 
     def read(self, field: Field) -> tuple[Any, ...]:
-        """Return the values in the list ``field``."""
+        """Return the values of the list in ``field``."""
         items = field.items(self.expected, count=self.count, least=self.least, most=self.most)
         return tuple(each(self.of.read, items))
 
     def write(self, values: Sequence[Any]) -> list[Tree]:
-        """Return a text or a mapping for each of ``values``."""
+        """Return a list with the text or the mapping that a file contains for each of ``values``."""
         return [self.of.write(value) for value in values]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Below(_Formed):
-    """A mapping with the keys of one of several tables.
+    """A mapping whose keys belong to one of several tables.
 
     Args:
         kind: The kind of value, for people.
         expected: Completes "expected ..." of a message.
-        tables: The possible tables; the key ``told_by`` of each table identifies its mappings.
+        tables: The possible tables. A mapping belongs to a table if it has the key ``told_by`` of this table.
         noun: The name of such a mapping in messages.
-        order: The order of the identifying keys in messages; empty: the order of ``tables``.
-        or_text: The pattern of a text that may replace the mapping.
+        order: The order in which messages list the identifying keys. An empty order means the order of
+            ``tables``.
+        or_text: The pattern of a text that a file may contain instead of the mapping.
 
     """
 
@@ -219,7 +241,7 @@ class Below(_Formed):
 
     @cached_property
     def by_key(self) -> Mapping[str, KeyTable]:
-        """The tables by the keys that identify them."""
+        """The tables, each under the key that identifies its mappings."""
         tables = {table.told_by: table for table in self.tables}
         return {name: tables[name] for name in self.order or tables}
 
@@ -247,14 +269,18 @@ class FreeKeys(_Formed):
     least: int = 0
 
     def read(self, field: Field) -> tuple[tuple[str, Field], ...]:
-        """Return the user's words with their fields, which the caller still has to read."""
+        """Return pairs (word, field).
+
+        The user has chosen the words, and each field is the value under its word. The caller still has to
+        read the fields.
+        """
         entries = field.entries(self.expected)
         if len(entries) < self.least:
             raise field.error(self.expected)
         return entries
 
     def write(self, mapping: Mapping[str, Any]) -> dict[str, Tree]:
-        """Return ``mapping`` with its words and values as texts of a file."""
+        """Return the mapping in the form that a file contains, with the user's words as keys."""
         return {scalar_text(name): self.of.write(value) for name, value in mapping.items()}
 
 
@@ -269,13 +295,15 @@ class Key:
         name: The name in a file.
         value: The kind of value.
         meaning: The meaning, for people.
-        example: A value or lines, as in a file; empty: the default serves as example.
-        or_else: The default in words; None: the default is ``fallback``.
-        said: The kind of value in words, if ``value`` cannot express it.
-        former: The name in earlier releases, which a file may still have; empty: the same.
-        attribute: The field of the dataclass, which ``table_of`` fills in.
-        fallback: The default of that field, also filled in by ``table_of``; REQUIRED if it has no default.
-        within: The mappings that surround the key in the example.
+        example: A value or lines, as in a file. If this text is empty, the default serves as the example.
+        or_else: A text that describes the default. None means that ``fallback`` is the default.
+        said: A description of the kind of value, if ``value`` cannot provide it.
+        former: The name in earlier releases, which files may still use. It is empty if the name never
+            changed.
+        attribute: The name of the dataclass's field. The function ``table_of`` sets it.
+        fallback: The default of that field, which ``table_of`` also fills in; REQUIRED if the field has no
+            default.
+        within: The keys of the mappings that surround this key in the example.
 
     """
 
@@ -292,7 +320,10 @@ class Key:
 
     @property
     def default(self) -> str:
-        """The default as people write it: REQUIRED, a value, or words."""
+        """The default in the form in which people would write it.
+
+        It is REQUIRED, a value, or a description.
+        """
         if self.or_else is not None:
             return self.or_else
         return REQUIRED if self.fallback is REQUIRED else _nice(self.fallback, self.value)
@@ -309,7 +340,7 @@ class Key:
 
     @property
     def path(self) -> tuple[str, ...]:
-        """The keys from the table's mapping down to this key, such as ("calibration error", "offset")."""
+        """The keys from the table's mapping to this key, such as ("calibration error", "offset")."""
         return (*self.within, self.name)
 
     @property
@@ -329,13 +360,14 @@ class KeyTable:
 
     Args:
         name: The name for the page.
-        where: Completes "of ..."; empty: the name.
+        where: A text that completes "of ..." in messages. An empty text means ``name``.
         keys: The keys.
         kind: The dataclass of such a mapping.
         path: The keys from the top of a file to the mapping, such as "settings.avoidance".
-        told_by: The key that identifies this mapping among its alternatives; empty: the first key.
-        beside: Tables of inner objects, by the fields that hold them.  A file gives the keys of an inner
-            object in the same mapping, and gives all required keys or none.
+        told_by: The key that identifies this mapping among its alternatives. If it is empty, the first key
+            identifies the mapping.
+        beside: Tables of inner objects, each under the name of the field that holds the object. A file gives
+            the keys of an inner object in the same mapping, and gives all required keys or none.
 
     """
 
@@ -359,12 +391,12 @@ class KeyTable:
         object.__setattr__(self, "former", former)
 
     def below(self) -> Iterator[KeyTable]:
-        """Yield the tables of the mappings that may stand below the table's keys."""
+        """Yield the tables of the mappings that the values of the table's keys may contain."""
         for key in self.keys:
             yield from _tables(key.value)
 
     def name_of(self, attribute: str) -> str:
-        """Return the name in a file of the dataclass's field ``attribute``."""
+        """Return the name that files use for the dataclass's field ``attribute``."""
         return next(key.name for key in self.keys if key.attribute == attribute)
 
     def read(self, field: Field) -> Any:
@@ -372,12 +404,15 @@ class KeyTable:
         return self.made_of(field.fields(self.names, former=self.former))
 
     def made_of(self, given: Fields) -> Any:
-        """Return the object made of the keys in ``given``, with defaults for all other keys."""
+        """Return the object that the keys in ``given`` describe, with defaults for all other keys."""
         assert self.kind is not None
         return self.kind(**self.values(given))
 
     def values(self, given: Fields) -> dict[str, Any]:
-        """Return the values in ``given``, by the dataclass's fields, with defaults for absent keys."""
+        """Return the values in ``given``, with the names of the dataclass's fields as keys.
+
+        If ``given`` lacks a key, the result has the default of the key.
+        """
 
         def pair(key: Key) -> tuple[str, Any]:
             field = given.optional(key.name)
@@ -396,7 +431,10 @@ class KeyTable:
         return read_values
 
     def write(self, value: object) -> dict[str, Tree]:
-        """Return the keys and texts from which ``read`` returns ``value``; a field of None gets no key."""
+        """Return the keys and texts that ``read`` converts into ``value``.
+
+        A field with the value None gets no key.
+        """
         written = {
             key.name: key.value.write(inner)
             for key in self.keys
@@ -419,15 +457,19 @@ def key(
     former: str = "",
     default: Any = MISSING,
 ) -> Any:
-    """Return a field of a ``declared`` dataclass; the arguments are those of its ``Key``."""
+    """Return a field of a ``declared`` dataclass.
+
+    The arguments are those of ``Key``.
+    """
     return keyed(Key(name, value, meaning, example, or_else, values_text, former), default=default)
 
 
 def keyed(declaration: Key | KeyTable, *, default: Any = MISSING) -> Any:
-    """Return a field of a ``declared`` dataclass with its key.
+    """Return a field of a ``declared`` dataclass from an existing key.
 
     Args:
-        declaration: The key, or the table of an inner object whose keys stand in the same mapping.
+        declaration: The key of the field. If the field is an object whose keys stand in the same mapping, it
+            is the object's table.
         default: The default of the field; MISSING: the key is required.
 
     """
@@ -463,7 +505,7 @@ def table_of(kind: type[Any], name: str, **of_table: Any) -> KeyTable:
 
 
 def _nice(value: Any, kind: Value) -> str:
-    """Return the default ``value`` as people write it."""
+    """Return the default ``value`` in the form in which people would write it."""
     if isinstance(value, Enum):
         return str(value.value)
     if value is None:
@@ -490,7 +532,7 @@ def _tables(value: Value) -> Iterator[KeyTable]:
 
 
 def vector_of(dimension: Dimension, form: str, most: float) -> Several:
-    """Return the kind of a list of three quantities, each from -``most`` to ``most``."""
+    """Return the kind of value for a list of three quantities, each from -``most`` to ``most``."""
     number = QuantityValue(dimension, least=-most, most=most)
     return Several(of=number, kind=form, expected=f"a list of three, each {dimension.expected}", count=3)
 

@@ -1,7 +1,8 @@
-"""The setting ``decision time``: the cost of a decision in simulated time, or a measured profile.
+"""The setting ``decision time``: the time that a decision costs in simulation.
 
-A profile is a JSON file written by ``safety-harness time``.  The stored form of a scenario contains the
-content of its profile, so a trace needs no further file.
+The setting is a kind of cost, a time, or a measured profile. A profile is a JSON file written by
+``safety-harness time``.  The stored form of a scenario contains the content of its profile, so a trace needs
+no further file.
 """
 
 from __future__ import annotations
@@ -26,9 +27,9 @@ if TYPE_CHECKING:
     from safety_harness.scenario.model import Scenario
 
 FORMAT = "safety-harness decision times 1"
-LONGEST_S = 60.0
-MOST_QUANTILES = 1_001
-MOST_BYTES = 1_000_000
+LONGEST_S = 60.0  # a choice
+MOST_QUANTILES = 1_001  # a choice: a measured profile has 101
+MOST_BYTES = 1_000_000  # a limit of the memory; a choice
 PROFILE = ".json"
 KEYS = ("quantiles", *(entry.name for entry in fields(Measured)))
 FORM = (
@@ -39,7 +40,10 @@ _EXPECTED = FORM.replace("`", '"')
 
 
 def read_decision_time(field: Field) -> DecisionCost | DecisionTimes:
-    """Return the decision time that a field states in any allowed form; ScenarioError for another form."""
+    """Return the decision time that a field states in any allowed form.
+
+    Raise ScenarioError for another form.
+    """
     if isinstance(field.node, Mapping):
         return _inline(field)
     text = " ".join(field.scalar(_EXPECTED).split())
@@ -57,7 +61,7 @@ def read_decision_time(field: Field) -> DecisionCost | DecisionTimes:
 
 
 def write_decision_time(value: DecisionCost | DecisionTimes) -> str | dict[str, str | list[str]]:
-    """Return the text or mapping from which ``read_decision_time`` returns ``value``."""
+    """Return the text or the mapping from which ``read_decision_time`` returns ``value``."""
     if isinstance(value, DecisionCost):
         return value.value
     texts = [format_quantity(entry, TIME) for entry in value.quantiles_s]
@@ -68,19 +72,19 @@ def write_decision_time(value: DecisionCost | DecisionTimes) -> str | dict[str, 
 
 
 def profile_text(times: DecisionTimes) -> str:
-    """Return the text of a profile's file with the decision times ``times``."""
+    """Return the text of a profile's file that contains the decision times ``times``."""
     assert times.measured is not None
     whole = {"format": FORMAT, **asdict(times.measured), "quantiles_s": list(times.quantiles_s)}
     return json.dumps(whole, indent=1) + "\n"
 
 
 def refuse_wall_clock(scenario: Scenario, error: type[InputError], *, runs: str) -> None:
-    """Raise ``error`` if the scenario's decisions cost wall-clock time, so that its runs do not repeat.
+    """Raise ``error`` if the decisions have a wall-clock cost, because the runs would not be repeatable.
 
     Args:
         scenario: The scenario.
         error: The type of the error.
-        runs: The runs that have to repeat, for the message.
+        runs: The runs that must be repeatable, in words for the message.
 
     """
     if scenario.settings.avoidance.decision_time is DecisionCost.WALL_CLOCK:
@@ -92,7 +96,7 @@ def refuse_wall_clock(scenario: Scenario, error: type[InputError], *, runs: str)
 
 
 def _inline(field: Field) -> DecisionTimes:
-    """Return the decision times of a profile that a scenario contains as a mapping."""
+    """Return the decision times of a profile that the scenario itself contains as a mapping."""
     given = field.fields(KEYS)
     items = given.required("quantiles").items("a list of times", least=2, most=MOST_QUANTILES)
     measured = Measured(
@@ -105,7 +109,10 @@ def _inline(field: Field) -> DecisionTimes:
 
 
 def _checked(field: Field, times_s: tuple[float, ...], measured: Measured | None) -> DecisionTimes:
-    """Return the decision times as an object; ScenarioError unless they rise within the bounds."""
+    """Return the decision times as an object.
+
+    Raise ScenarioError unless the times rise and lie within the bounds.
+    """
     if not _rise(times_s):
         raise field.error(f"times that rise, from 0 s to {LONGEST_S:g} s")
     return DecisionTimes(quantiles_s=times_s, measured=measured)
@@ -117,7 +124,10 @@ def _rise(times_s: tuple[float, ...]) -> bool:
 
 
 def _profile(path: Path, place: Place) -> DecisionTimes:
-    """Return the decision times in a profile's file; ``place`` is where the file's name stands."""
+    """Return the decision times in a profile's file.
+
+    ``place`` is where the file's name is written.
+    """
     data = read_bytes(path, most=MOST_BYTES, place=place, error=ScenarioError)
     text = decode(data, most=MOST_BYTES, file=path, error=ScenarioError)
     times = _parsed(text)

@@ -1,4 +1,7 @@
-"""All scenarios that a path leads to: those of a file, of its matrix, of a folder or of a suite."""
+"""All scenarios to which a path leads.
+
+The path leads to a file, possibly with a matrix, to a folder, or to a suite.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,7 @@ from safety_harness.scenario.read import scenario_of_variant
 from safety_harness.scenario.reference_tables import SUITE as SUITE_TABLE
 from safety_harness.scenario.reference_tables import TOP
 
-DEEPEST_SUITE = 8
+DEEPEST_SUITE = 8  # a choice, as the next two numbers
 MOST_FILES = 1_000
 MOST_SCENARIOS = 10_000
 # For each key, the keys that its value depends on.  Beside an example of these, its error would mislead.
@@ -38,7 +41,10 @@ LONGEST = "duration: 60 min"  # an example within which every fault begins
 
 
 class Mended(NamedTuple):
-    """A scenario of a file with mistakes, in which examples replace the wrong top keys."""
+    """A scenario from a file with mistakes.
+
+    An example replaces the value of each top key that has a mistake.
+    """
 
     scenario: Scenario
     faulty: frozenset[str]
@@ -46,9 +52,9 @@ class Mended(NamedTuple):
 
 @dataclass
 class Gathered:
-    """The scenarios of several paths, the spaces on request, and all mistakes in the files.
+    """The scenarios to which several paths lead, with all mistakes in their files.
 
-    The object visits files, folders and suites, path by path.
+    Spaces are included on request. The object visits files, folders and suites, path by path.
     """
 
     scenarios: list[Scenario] = field(default_factory=list)
@@ -67,12 +73,14 @@ class Gathered:
         return (FileKind.SCENARIO, FileKind.SUITE, *[FileKind.SPACE] * self._spaces_too)
 
     def add(self, path: Path, place: Place | None = None, suites: tuple[Path, ...] = ()) -> None:
-        """Add the scenarios that ``path`` leads to, and append the mistakes to ``errors``.
+        """Add the scenarios to which ``path`` leads, and append the mistakes to ``errors``.
 
         Args:
             path: A file, a folder or a suite.
-            place: The place of its name, for errors; None: the file itself.
-            suites: The suites that led to ``path``; the last suite names it.
+            place: The place at which the path's name is written, for error messages. None means the file
+                itself.
+            suites: The suites that led to ``path``, from the outermost to the innermost. The last suite
+                contains the name of ``path``.
 
         """
         try:
@@ -81,6 +89,8 @@ class Gathered:
             files, aside = files_of(path, self._kinds, place)
             self.aside += aside
             for file in files:
+                # A suite that leads to itself must not be skipped here, because ``_add_suite`` reports the
+                # circle.
                 asked_for_itself = resolved(file) in suites and file == located(path)
                 if resolved(file) in self._seen and not asked_for_itself:
                     continue
@@ -93,7 +103,10 @@ class Gathered:
             self.errors.append(error)
 
     def _add_file(self, file: Path, place: Place | None, suites: tuple[Path, ...]) -> None:
-        """Add the scenarios of one file; if the file is a suite, add the scenarios of the suite."""
+        """Add the scenarios of one file.
+
+        If the file is a suite, add the scenarios of the suite.
+        """
         try:
             refuse_other_kind(file, *self._kinds, place=place)
             tree = self._library.tree(file, place)
@@ -123,7 +136,7 @@ class Gathered:
     def _add_suite(self, root: Field, file: Path, place: Place | None, suites: tuple[Path, ...]) -> None:
         """Add the scenarios of a suite and its mistakes.
 
-        ScenarioError if suites name each other in a circle or are nested too deeply.
+        Raise ScenarioError if suites refer to each other in a circle or are nested too deeply.
         """
         if resolved(file) in suites:
             circle = " names ".join(suite.name for suite in (*suites, file))
@@ -150,7 +163,10 @@ class Gathered:
             self.add(path, at, (*suites, resolved(file)))
 
     def take(self, scenario: Scenario) -> None:
-        """Add a scenario; ScenarioError if its name is already in use or there are too many scenarios."""
+        """Add a scenario.
+
+        Raise ScenarioError if the scenario's name is already in use, or if there are too many scenarios.
+        """
         if scenario.name in self._names:
             got = f"the name {scenario.name!r} again, after {self._names[scenario.name]}"
             raise ScenarioError.of_file(scenario.file, "file names that tell the scenarios apart", got)
@@ -165,7 +181,7 @@ def read_all_scenarios(path: str | Path) -> tuple[Scenario, ...]:
     """Return every scenario of a file, a folder or a suite.
 
     Args:
-        path: The file or folder; ``shipped:NAME`` works too.
+        path: The file or folder. A name of the form ``shipped:NAME`` is also accepted.
 
     Raises:
         InputError: The first mistake in the files.
@@ -180,12 +196,12 @@ def read_all_scenarios(path: str | Path) -> tuple[Scenario, ...]:
 def gather(paths: Iterable[Path], *, spaces: bool = False) -> Gathered:
     """Return the scenarios of several paths, with all mistakes.
 
-    A file is read once, even if several paths lead to it.  Of a matrix, the result reports the mistakes of
-    the first faulty scenario only.
+    A file is read once, even if several paths lead to it. For a file with a matrix, the result reports only
+    the mistakes of the first faulty scenario.
 
     Args:
         paths: Files, folders and suites.
-        spaces: Whether to accept scenario spaces; otherwise they are mistakes.
+        spaces: Whether to accept scenario spaces. If this is false, a space is a mistake.
 
     """
     gathered, paths = Gathered(_spaces_too=spaces), list(paths)
@@ -200,8 +216,9 @@ def gather(paths: Iterable[Path], *, spaces: bool = False) -> Gathered:
 def mistakes_of(variant: Variant, file: Path, mended: list[Mended]) -> list[InputError]:
     """Return the mistakes of a scenario.
 
-    A mistake in one top key may hide mistakes in another.  So the function replaces each wrong top key by an
-    example, and reads the scenario again.  It appends the scenario with the examples to ``mended``.
+    A mistake in one top key may hide mistakes in another. Therefore the function replaces each wrong top key
+    by an example, and reads the scenario again. The function appends the scenario with these examples to
+    ``mended``.
     """
     errors, tree, faulty, there = list[InputError](), variant.tree, set[str](), set[str]()
     while True:
@@ -213,6 +230,7 @@ def mistakes_of(variant: Variant, file: Path, mended: list[Mended]) -> list[Inpu
             return errors or mistakes
         there = there or {key.text for key, _ in tree.entries}
         named = [(_top_key(tree, error), error) for error in mistakes]
+        # Later passes report only further keys, and no error that an example may have caused.
         for name, error in named:
             if not faulty:
                 errors.append(error)
@@ -226,6 +244,7 @@ def mistakes_of(variant: Variant, file: Path, mended: list[Mended]) -> list[Inpu
         faulty |= names
         examples = [key.lines for key in TOP.keys if key.name in names and key.required]
         text = "\n".join(LONGEST if line.startswith("duration:") else line for line in examples)
+        # The example of claims would hide mistakes in the file's own sentences, so keep the sentences.
         claims = [(key, _as_holding(node)) for key, node in tree.entries if key.text == "claims" in names]
         tree = merged(without_keys(tree, names), parse_tree(text or "{}", None))
         tree = merged(tree, Mapping(tuple(claims), 1))
@@ -239,7 +258,10 @@ def _as_holding(claims: Node) -> Mapping:
 
 
 def _top_key(tree: Mapping, error: InputError) -> str | None:
-    """Return the top key of the file whose value or absence caused ``error``; None if there is none."""
+    """Return the top key that caused ``error``, or None if no key caused it.
+
+    The cause may be the key's value or its absence.
+    """
     field = error.place.field or ""
     names = (*TOP.names, *(key.text for key, _ in tree.entries))
     return next((name for name in names if re.match(rf"{re.escape(name)}($|[.\[])", field)), None)

@@ -35,7 +35,10 @@ _COLUMNS = {
 
 
 def fault_table(faults: Sequence[Fault]) -> NDArray[np.void]:
-    """Return the faults as records (n,) FAULT; bit k of the column ``faults`` in a trace is record k."""
+    """Return the faults as records of shape (n,) and type FAULT.
+
+    Bit k of the column ``faults`` in a trace stands for record k.
+    """
     table = np.zeros(len(faults), FAULT)
     for record, fault in zip(table, faults, strict=True):
         record["kind"] = fault.phrase.kind
@@ -49,8 +52,13 @@ def fault_table(faults: Sequence[Fault]) -> NDArray[np.void]:
 
 @compiled
 def acts(faults: NDArray[np.void], k: int, kind: int | np.int64, time_s: float) -> bool:
-    """Return whether fault ``k`` of (n,) FAULT is of ``kind`` and acts at ``time_s``; its end is excluded."""
+    """Return whether fault ``k`` has the kind ``kind`` and is active at ``time_s``.
+
+    The end of the fault's interval is excluded. ``faults`` has the shape (n,) and the type FAULT.
+    """
     fault = faults[k]
+    # A tick's time is rounded, so that a fault at a multiple of the period could miss its tick without
+    # TIME_EPS_S.
     return bool(
         fault.kind == kind and fault.from_s - TIME_EPS_S <= time_s and time_s < fault.end_s - TIME_EPS_S
     )
@@ -58,7 +66,10 @@ def acts(faults: NDArray[np.void], k: int, kind: int | np.int64, time_s: float) 
 
 @compiled
 def acting(faults: NDArray[np.void], kind: int | np.int64, time_s: float) -> int:
-    """Return the bits of those faults in (n,) FAULT that are of kind ``kind`` and act at ``time_s``."""
+    """Return a bit mask of the faults that have the kind ``kind`` and are active at ``time_s``.
+
+    ``faults`` has the shape (n,) and the type FAULT. Bit k of the result stands for fault k.
+    """
     bits = 0
     for k in range(faults.shape[0]):
         if acts(faults, k, kind, time_s):
@@ -68,7 +79,10 @@ def acting(faults: NDArray[np.void], kind: int | np.int64, time_s: float) -> int
 
 @compiled
 def delay_s(faults: NDArray[np.void], kind: int | np.int64, time_s: float) -> float:
-    """Return the total delay [s] of those faults in (n,) FAULT that are of ``kind`` and act at ``time_s``."""
+    """Return the total delay [s] of the faults that have the kind ``kind`` and are active at ``time_s``.
+
+    ``faults`` has the shape (n,) and the type FAULT.
+    """
     total = 0.0
     for k in range(faults.shape[0]):
         if acts(faults, k, kind, time_s):

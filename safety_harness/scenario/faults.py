@@ -1,9 +1,9 @@
 """Faults of a sensor, a joint or the avoider, with their times.
 
-Each fault is a frozen dataclass, written in a file as ``- hand sensor: is late``, ``delay: 200 ms``.  One
-table of these words serves reading, writing and reports (docs/reference/scenario.md explains it for people).
-A fault acts from ``from_s`` until ``end_s``.  A file gives the end as a time after the beginning, or as a
-moment of the run.  Without either, the fault lasts until the end of the run.
+Each fault is a frozen dataclass, written in a file as ``- hand sensor: is late``, ``delay: 200 ms``. A single
+table of these words serves reading, writing and reports (docs/reference/scenario.md explains the words). A
+fault acts from ``from_s`` until ``end_s``. A file states the end as a time after the beginning, or as a time
+of the run. If the file states no end, the fault lasts until the end of the run.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from safety_harness.scenario.units import LENGTH, TIME
 MOST_FAULTS = 16  # a trace has a bit for each
 MOST_FALSE_HANDS = 2  # a frame holds two boxes for each hand that there is room for
 LATEST_S = 10.0
-FARTHEST_OFF_M = 1.0
+FARTHEST_OFF_M = 1.0  # along an axis; a choice
 
 _MOMENT = QuantityValue(TIME, least=0.0)
 _SHIFT = vector_of(LENGTH, "point", FARTHEST_OFF_M)
@@ -82,7 +82,10 @@ class FaultKind(IntEnum):
 
 @dataclass(frozen=True)
 class Phrase:
-    """A fault in words, ``subject: predicate``, and its kind in compiled code."""
+    """The description of a fault as a text, ``subject: predicate``.
+
+    ``kind`` is the fault's kind in compiled code.
+    """
 
     subject: str
     predicate: str
@@ -263,7 +266,7 @@ TIMES = _TIMES.names
 
 
 def _own(kind: type[Any]) -> KeyTable:
-    """Return the keys of a fault other than its time."""
+    """Return the table of a fault's keys, without the keys for its time."""
     table = table_of(kind, kind.phrase.predicate)
     return replace(table, keys=table.keys[len(TIMES) :], told_by=kind.phrase.subject)
 
@@ -276,7 +279,7 @@ SUBJECTS = {
 
 
 def fault_tables() -> tuple[KeyTable, ...]:
-    """Return a table of keys for each subject that can fail."""
+    """Return a table of keys for each subject that can have a fault."""
     tables = []
     for subject, own in SUBJECTS.items():
         first, *_ = own
@@ -294,7 +297,10 @@ def fault_tables() -> tuple[KeyTable, ...]:
 
 
 def read_faults(field: Field | None, *, duration_s: float) -> tuple[Fault, ...]:
-    """Return the faults in ``field``, in the order of the file, for a scenario that lasts ``duration_s``."""
+    """Return the faults in ``field``, in the order of the file.
+
+    The scenario lasts ``duration_s``.
+    """
     if field is None:
         return ()
     expected = f"a list of at most {MOST_FAULTS} faults"
@@ -307,7 +313,10 @@ def read_faults(field: Field | None, *, duration_s: float) -> tuple[Fault, ...]:
 
 
 def _fault(field: Field, duration_s: float) -> Fault:
-    """Return the fault that a mapping describes; ScenarioError if a key or a time does not fit."""
+    """Return the fault that a mapping describes.
+
+    Raise ScenarioError if a key or a time is not valid.
+    """
     subject = field.only_key("fault", SUBJECTS)
     predicates = SUBJECTS[subject]
     clause = dict(field.entries("a fault"))[subject]
@@ -326,7 +335,7 @@ def _fault(field: Field, duration_s: float) -> Fault:
 
 
 def _times(fields: Fields, duration_s: float) -> dict[str, float]:
-    """Return those of ``from_s``, ``for_s`` and ``until_s`` that ``fields`` states."""
+    """Return the times among ``from_s``, ``for_s`` and ``until_s`` that the file states in ``fields``."""
     times = {f"{name}_s": fields.required(name).quantity(TIME, least=0.0) for name in TIMES if name in fields}
     begin_s = times.get("from_s", 0.0)
     if begin_s >= duration_s:
@@ -341,7 +350,7 @@ def _times(fields: Fields, duration_s: float) -> dict[str, float]:
 
 
 def write_fault(fault: Fault) -> dict[str, Tree]:
-    """Return the keys and values of one fault, from which ``read_faults`` returns the fault."""
+    """Return the keys and values from which ``read_faults`` returns the fault."""
     own = OWN_KEYS[type(fault)]
     return {own.told_by: own.name, **own.write(fault), **_TIMES.write(fault)}
 

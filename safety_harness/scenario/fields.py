@@ -1,7 +1,7 @@
-"""Typed reading of single values: a ``Field`` is a node that knows its place in a file.
+"""Read single values and check their types.
 
-Every method returns a checked value, or raises ScenarioError with file, line, field, expectation and actual
-input.
+A ``Field`` is a node of the tree together with its place in the file. Every method returns a checked value,
+or raises ScenarioError. The error states the file, the line, the field, the expected and the actual value.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ SENTENCE = f"one line of 1 to {_LONGEST_SENTENCE} printable characters"
 
 
 def is_sentence(text: str) -> bool:
-    """Return whether ``text`` can be a name, or a sentence such as a claim."""
+    """Return whether ``text`` is valid as a name or as a sentence, such as a claim."""
     return bool(text.strip()) and text.isprintable() and len(text) <= _LONGEST_SENTENCE
 
 
@@ -45,7 +45,10 @@ _mistakes: ContextVar[list[InputError] | None] = ContextVar("_mistakes", default
 
 @contextmanager
 def every_mistake() -> Iterator[list[InputError]]:
-    """Yield the list of all mistakes found within the context, where readers continue after a mistake."""
+    """Yield a list that collects all mistakes within the context.
+
+    In this context, readers continue after a mistake.
+    """
     mistakes: list[InputError] = []
     token = _mistakes.set(mistakes)
     try:
@@ -58,7 +61,10 @@ def every_mistake() -> Iterator[list[InputError]]:
 
 @contextmanager
 def one_mistake() -> Iterator[None]:
-    """Make readers stop at the first mistake, even within ``every_mistake``; draws may be refused."""
+    """Make readers stop at the first mistake, even within ``every_mistake``.
+
+    Draws of a space use this mode, because a reader may refuse a draw.
+    """
     token = _mistakes.set(None)
     try:
         yield
@@ -67,7 +73,10 @@ def one_mistake() -> Iterator[None]:
 
 
 def noted(error: InputError) -> InputError:
-    """Append a mistake to the list of ``every_mistake`` and return it; without such a list, raise it."""
+    """Append a mistake to the list that ``every_mistake`` collects, and return the mistake.
+
+    If there is no such list, raise the mistake.
+    """
     mistakes = _mistakes.get()
     if mistakes is None:
         raise error
@@ -77,9 +86,10 @@ def noted(error: InputError) -> InputError:
 
 
 def each(read: Callable[[T], V], items: Iterable[T]) -> list[V]:
-    """Return the result of ``read`` for each item, or raise the first mistake.
+    """Return the result of ``read`` for each item.
 
-    Within ``every_mistake``, all items are read before the first mistake is raised.
+    Raise the first mistake if there is any. Within ``every_mistake``, all items are read before the first
+    mistake is raised.
     """
     made, mistakes = [], list[InputError]()
     for item in items:
@@ -97,12 +107,13 @@ class Field(NamedTuple):
 
     Args:
         node: The value.
-        file: The scenario's own file, from which relative paths start; None: a text without a file.
+        file: The scenario's own file, whose folder is the start of relative paths; None: a text without a
+            file.
         path: The name of the value in messages, such as ``hands[0].starts at``.
-        line: The line in its file, from 1.
+        line: The number of the line in the value's file, counted from 1.
         origin: The file that contains the value, if it differs from ``file``.
 
-    A field is a tuple, because a search makes a million fields a minute.
+    A field is a tuple because tuples are created quickly, and a search creates a million fields per minute.
 
     """
 
@@ -131,7 +142,7 @@ class Field(NamedTuple):
         )
 
     def got(self) -> str:
-        """Return the actual value as a message states it."""
+        """Return the actual value in the form that a message states."""
         if isinstance(self.node, Scalar):
             return shown(self.node.text)
         count = len(self.node.items if isinstance(self.node, Sequence) else self.node.entries)
@@ -176,7 +187,10 @@ class Field(NamedTuple):
         raise self.error(f"{dimension.expected}, {wanted} {dimension.si}".rstrip())
 
     def integer(self, *, least: int, most: int) -> int:
-        """Return a whole number without a unit, which must lie from ``least`` to ``most``."""
+        """Return a whole number without a unit.
+
+        The number must lie from ``least`` to ``most``.
+        """
         expected = f"a whole number from {least} to {most}"
         text = self.scalar(expected).strip()
         if not _INTEGER.fullmatch(text) or not least <= int(text) <= most:
@@ -184,11 +198,11 @@ class Field(NamedTuple):
         return int(text)
 
     def choice(self, choices: type[E]) -> E:
-        """Return the member of an enumeration whose value equals the field's text."""
+        """Return the member of an enumeration whose value is the field's text."""
         return self.one_of({str(member.value): member for member in choices})
 
     def one_of(self, choices: dict[str, V]) -> V:
-        """Return the value in ``choices`` that the field's text names."""
+        """Return the value in ``choices`` whose key is the field's text."""
         names = list(choices)
         expected = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
         text = self.scalar(expected)
@@ -206,7 +220,7 @@ class Field(NamedTuple):
     def prose(self, expected: str, *, lines: bool = False) -> str:
         """Return a text for people, in any script and without control characters.
 
-        The text must be on one line unless ``lines``.
+        The text must be on one line unless ``lines`` is True.
         """
         text = self.scalar(expected)
         for character in text:
@@ -218,7 +232,11 @@ class Field(NamedTuple):
     def items(
         self, expected: str, *, count: int | None = None, least: int = 0, most: int | None = None
     ) -> tuple[Field, ...]:
-        """Return the members of a list, which must be exactly ``count``, or from ``least`` to ``most``."""
+        """Return the members of a list.
+
+        The list must have exactly ``count`` members if ``count`` is given, and otherwise from ``least`` to
+        ``most`` members.
+        """
         if not isinstance(self.node, Sequence):
             raise self.error(expected)
         length = len(self.node.items)
@@ -239,7 +257,11 @@ class Field(NamedTuple):
         )
 
     def only_key(self, noun: str, names: abc.Mapping[str, object]) -> str:
-        """Return the only key of a mapping that is among ``names``; it tells what the mapping describes."""
+        """Return the key of a mapping that is among ``names``.
+
+        The mapping must have exactly one such key, which determines the kind of object that the mapping
+        describes.
+        """
         listed = ", ".join(names)
         given = [key for key, _ in self.entries(f"a {noun}: a mapping with one of the keys {listed}")]
         chosen = [key for key in given if key in names]
@@ -256,12 +278,14 @@ class Field(NamedTuple):
         hints: dict[str, str] | None = None,
         former: abc.Mapping[str, str] | None = None,
     ) -> Fields:
-        """Return the values of a mapping; mistakes in its keys become ``wrong`` in the result.
+        """Return the values of a mapping.
+
+        Mistakes in its keys are in the field ``wrong`` of the result.
 
         Args:
             allowed: The keys that the mapping may have.
             hints: Advice for wrong keys that people are likely to try.
-            former: The present keys by their names in earlier releases.
+            former: A mapping from the names of keys in earlier releases to their present names.
 
         """
         given = self.entries(_mapping_with(allowed))
@@ -277,19 +301,22 @@ class Field(NamedTuple):
 
 
 def is_meant(key: str, error: InputError) -> bool:
-    """Return whether the hint of ``error`` suggests ``key`` in place of the wrong key."""
+    """Return whether the hint of ``error`` suggests that the user meant ``key``."""
     return f'"{key}"' in error.hint
 
 
 @lru_cache
 def _mapping_with(keys: tuple[str, ...]) -> str:
-    """Return the words that expect a mapping with these keys."""
+    """Return the phrase "a mapping with the keys ..." for these keys."""
     return f"a mapping with the keys {', '.join(keys)}"
 
 
 @dataclass(frozen=True)
 class Fields:
-    """The values of a mapping by their keys; ``wrong`` holds the noted mistakes in its keys."""
+    """The values of a mapping by their keys.
+
+    ``wrong`` holds the mistakes that were found in the keys.
+    """
 
     whole: Field
     by_key: dict[str, Field]
@@ -302,7 +329,10 @@ class Fields:
         return iter(self.by_key)
 
     def required(self, key: str, hint: str = "") -> Field:
-        """Return the value of ``key``; if it is absent, raise ScenarioError with ``hint``."""
+        """Return the value of ``key``.
+
+        If the key is absent, raise ScenarioError with ``hint``.
+        """
         if key not in self.by_key:
             for error in self.wrong:
                 if is_meant(key, error):
@@ -314,12 +344,12 @@ class Fields:
         return self.by_key[key]
 
     def optional(self, key: str) -> Field | None:
-        """Return the value of ``key``, or None."""
+        """Return the value of ``key``, or None if the key is absent."""
         return self.by_key.get(key)
 
 
 def walk(field: Field) -> Iterator[Field]:
-    """Yield ``field`` and everything below it, in the order of the file."""
+    """Yield ``field`` and all values below it, in the order of the file."""
     yield field
     below: tuple[Field, ...] = ()
     if isinstance(field.node, Sequence):
@@ -332,16 +362,16 @@ def walk(field: Field) -> Iterator[Field]:
 
 @dataclass(frozen=True)
 class Places(abc.Mapping[str, Place]):
-    """The places of all values below ``root``, by their paths.
+    """The places of all values below ``root``, with the paths of the values as keys.
 
-    They are computed at the first access, because few scenarios have a mistake.
+    The places are computed at the first access, because few scenarios have a mistake.
     """
 
     root: Field
 
     @cached_property
     def _by_path(self) -> dict[str, Place]:
-        """The places by path."""
+        """A mapping from the path of each field to the field's place in the file."""
         return {field.path: field.place for field in walk(self.root) if field.path}
 
     def __getitem__(self, path: str) -> Place:

@@ -1,8 +1,9 @@
-"""Bounded reading of files of unknown origin, with errors that name a place but no foreign content.
+"""Read files of unknown origin.
 
-Files of other programs may have a ``scenario:`` or a ``seed:`` too.  A name may also lead to a confidential
-file (``scenario.yaml`` a link to ``/etc/shadow``, or ``extends: ~/.netrc``).  Errors end up in the log of a
-build, so an error never quotes a file that lacks all of our keys.
+The size of these files is limited, and errors do not quote content that may be confidential. Files of other
+programs may also have a key ``scenario:`` or ``seed:``. A file name may also lead to a confidential file. For
+example, ``scenario.yaml`` may be a link to ``/etc/shadow``, or a file may contain ``extends: ~/.netrc``.
+Errors appear in build logs. Therefore an error never quotes a file that has no key of the harness.
 """
 
 from __future__ import annotations
@@ -39,17 +40,18 @@ TOP_KEY = re.compile(rf"^[\"']?({'|'.join(ALL)})[\"']?[ \t]*:(?=[ \t\r\n]|$)", r
 
 
 def as_path(source: str | Path, argument: str, *, of_text: str = "") -> Path:
-    """Return ``source``, a path or its text, as a path with ``shipped:NAME`` resolved.
+    """Return ``source`` as a path.
 
-    Every path that a caller gives as a text passes through this function.
+    ``source`` is a path, or the text of a path. A ``shipped:NAME`` becomes the path of the file. Every path
+    that a caller gives as a text passes through this function.
 
     Args:
         source: A path, or its text.
         argument: The name of the argument, for errors.
-        of_text: The function that reads a text in place of a path, for the hint.
+        of_text: The name of the function that reads the content from a text, for the hint.
 
     Raises:
-        InputError: ``source`` is no path, or is a text of several lines.
+        InputError: ``source`` is not a path, or is a text of several lines.
 
     """
     refuse_other_type(argument, source, str, Path, expected="a path")
@@ -72,7 +74,7 @@ def read_bytes(path: Path, *, most: int, place: Place, error: type[InputError]) 
     Args:
         path: The file.
         most: The largest size that the caller accepts, in bytes.
-        place: The place of its name.
+        place: The place where the file's name is written.
         error: The type of the error for a missing or unreadable file.
 
     """
@@ -87,14 +89,17 @@ def read_bytes(path: Path, *, most: int, place: Place, error: type[InputError]) 
 
 
 def refuse_no_file(path: Path, expected: str, error: type[InputError]) -> None:
-    """Raise ``error`` unless ``path`` is a regular file; opening a pipe might block for ever."""
+    """Raise ``error`` unless ``path`` is a regular file.
+
+    Opening a pipe might block for ever.
+    """
     problem = _no_file(path)
     if problem:
         raise error(place=Place(file=path), expected=expected, got=problem)
 
 
 def _no_file(path: Path) -> str:
-    """Return why ``path`` is no regular file; empty if it is one."""
+    """Return the reason why ``path`` is no regular file, or an empty text if it is a regular file."""
     try:
         if path.is_file():
             return ""
@@ -104,16 +109,20 @@ def _no_file(path: Path) -> str:
 
 
 def resolved(path: Path) -> Path:
-    """Return the absolute path with links resolved; links that form a circle stay."""
+    """Return the absolute path with its links resolved.
+
+    Links that form a circle are not resolved.
+    """
     return Path(os.path.realpath(path))
 
 
 def display_path(path: Path) -> Path:
-    """Return the name of a file for a result: relative to the working directory, or its name alone.
+    """Return the name of a file for a result.
 
-    Results are public, and an absolute path would reveal a machine and its user.  A relative path stays as it
-    is, unless it leads through the root or the folder of all homes.  A shipped file appears by its
-    ``shipped:`` name.
+    The result is relative to the working directory, or is only the file's own name. Results are public, and
+    an absolute path would reveal a machine and its user. A relative path is unchanged, unless it leads
+    through the root or the folder that contains all home folders. The name of a shipped file begins with
+    ``shipped:``.
     """
     full, here = resolved(path.parent) / path.name, resolved(Path())
     shipped = shipped_name(full)
@@ -124,7 +133,10 @@ def display_path(path: Path) -> Path:
 
 
 def decode(data: bytes, *, most: int, file: Path | None, error: type[InputError]) -> str:
-    """Return ``data`` as UTF-8; ``error`` if it is larger than ``most`` bytes or not UTF-8."""
+    """Return ``data`` as UTF-8 text.
+
+    Raise ``error`` if the data are larger than ``most`` bytes or are not UTF-8.
+    """
     if len(data) > most:
         raise error(place=Place(file=file), expected=f"at most {most:,} bytes", got="more")
     try:
@@ -137,12 +149,15 @@ def decode(data: bytes, *, most: int, file: Path | None, error: type[InputError]
 
 
 def has_a_key(text: str) -> bool:
-    """Return whether a line of ``text`` begins with a title or a rare key of ours."""
+    """Return whether a line of ``text`` begins with a key of the harness that is uncommon in other files."""
     return not {*COMMON}.issuperset(TOP_KEY.findall(text))
 
 
 def foreign(file: Path, place: Place | None) -> ScenarioError:
-    """Return the error for a file that is not ours, without quoting the file."""
+    """Return the error for a file that does not belong to the harness.
+
+    The error does not quote the file's content.
+    """
     expected = f"a scenario file, with keys such as {', '.join((*TITLES, 'hands'))}"
     hint = "nothing of it is shown here: it may be anybody's"
     got = f"{file}, which is none"

@@ -1,4 +1,7 @@
-"""The key ``gate`` of a scenario file: demands beyond the gate's own (docs/reference/controller.md)."""
+"""The key ``gate`` of a scenario file, which adds requirements to the gate's own checks.
+
+The page docs/reference/controller.md describes these checks.
+"""
 
 from __future__ import annotations
 
@@ -18,15 +21,18 @@ _REGION = f"{{hand: {_BOX}, tcp: {_BOX}}}"
 
 @declared
 class PositionBox:
-    """A box of positions in the base frame; points on its surface are inside."""
+    """A box of positions in the base frame.
+
+    Points on its surface count as inside.
+    """
 
     low_m: Vector3 = key("from", POINT, "its lowest corner in the base frame", "[600 mm, -500 mm, -200 mm]")
     high_m: Vector3 = key("to", POINT, "its highest corner", "[700 mm, -400 mm, -100 mm]")
 
     def depth_m(self, position_in_base_m: NDArray[np.float64]) -> float:
-        """Return the distance [m] from ``position_in_base_m`` (3,) inside the box to the nearest side.
+        """Return the distance [m] from the point ``position_in_base_m`` (3,) in the box to the nearest side.
 
-        The distance is negative for a position outside, and NaN for NaN.
+        The distance is negative for a point outside the box, and NaN for a point with NaN.
         """
         sides = position_in_base_m - self.low_m, self.high_m - position_in_base_m
         return float(np.min(sides))
@@ -46,15 +52,17 @@ _OF_HAND, _OF_TCP = (
 
 @declared
 class AskedRegion:
-    """The region of questions that an avoider may be asked, such as the region of a proof."""
+    """The set of inputs with which an avoider may be queried, for example the inputs that a proof covers."""
 
     hand: PositionBox = key("hand", _OF_HAND, "where the hand is that the avoider is asked about", _BOX)
     tcp: PositionBox = key("tcp", _OF_TCP, "where the TCP is then", _BOX)
 
     def depth_m(self, hand_in_base_m: NDArray[np.float64], tcp_in_base_m: NDArray[np.float64]) -> float:
-        """Return the smaller depth [m] of ``hand_in_base_m`` and ``tcp_in_base_m``, each (3,), in its box.
+        """Return the smaller of two depths [m].
 
-        A depth is the distance to the nearest side of the box, negative outside.
+        They are the depth of the hand in its box and the depth of the TCP in its box. The positions are
+        ``hand_in_base_m`` (3,) and ``tcp_in_base_m`` (3,). A depth is the distance to the nearest side of the
+        box, with a negative sign outside the box.
         """
         return float(np.min([self.hand.depth_m(hand_in_base_m), self.tcp.depth_m(tcp_in_base_m)]))
 
@@ -66,7 +74,7 @@ class AskedRegion:
 
 @declared
 class GateRule:
-    """The demands of the full gate beyond its own checks."""
+    """The requirements of the full gate beyond its own checks."""
 
     hands_within: float | None = key(
         "every hand within",
@@ -93,12 +101,12 @@ class GateRule:
 
     @property
     def of_possible_hands(self) -> bool:
-        """Whether a demand concerns all places where a hand may be."""
+        """Whether at least one requirement concerns all possible positions of a hand."""
         return self.hands_within is not None or self.hands_in_sets is YesNo.YES
 
     @property
     def demands(self) -> Iterator[str]:
-        """The demands, each in a few words."""
+        """The requirements, each in a few words."""
         if self.hands_within is not None:
             yield f"every hand within {100.0 * self.hands_within:g} %"
         if self.hands_in_sets is YesNo.YES:

@@ -1,6 +1,6 @@
-"""The kind of a file, found from its content, and the command for that kind.
+"""Determine the kind of a file from its content, and the command for files of that kind.
 
-Commands use this module for a message about a file of the wrong kind.
+Commands use this module for messages about a file of the wrong kind.
 """
 
 from __future__ import annotations
@@ -33,9 +33,11 @@ _UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 
 
 class FileKind(Enum):
-    """A kind of file or folder, with its article in messages, and the command for it.
+    """A kind of file or folder.
 
-    ``names`` are the titles of our YAML files, or the formats of our JSON files, of this kind.
+    Each kind has a noun with an article for messages, and the command that accepts it. ``names`` are titles
+    for YAML files, and formats for JSON files; a file is of this kind if it has one of these titles or
+    formats.
     """
 
     SCENARIO = "a scenario", "safety-harness run {file}", "scenario"
@@ -101,9 +103,10 @@ _BINARIES = frozenset({FileKind.TRACE, FileKind.LEDGER, FileKind.MODEL, FileKind
 
 
 def kind_of(path: Path) -> Kind | None:
-    """Return the kind of the file or folder at ``path``; None if it is absent or unknown.
+    """Return the kind of the file or folder at ``path``, or None if it is absent or of unknown kind.
 
-    A file that extends another and has no title of its own is of unknown kind: the other file is not read.
+    If a file has no title and extends another file, its kind is unknown, because the function does not read
+    the other file.
     """
     try:
         if path.is_dir():
@@ -117,7 +120,10 @@ def kind_of(path: Path) -> Kind | None:
 
 
 def added_input(path: Path) -> InputFile | None:
-    """Return a package's entry for the kind of a file; None for the core's own kinds."""
+    """Return the entry of the package that defines the kind of a file.
+
+    Return None for the kinds of the core.
+    """
     kind = kind_of(path)
     if isinstance(kind, InputFile):
         return kind
@@ -126,7 +132,10 @@ def added_input(path: Path) -> InputFile | None:
 
 
 def added_titles() -> set[str]:
-    """Return the titles of the kinds of file that packages add; no package is loaded."""
+    """Return the titles of the kinds of file that packages add.
+
+    The function loads no package.
+    """
     return {part.name for part in parts(ExtensionPoint.INPUTS)} - {*OWN_TITLES}
 
 
@@ -141,7 +150,8 @@ def recorded_run(path: Path, claims: Sequence[Claim] = ()) -> Any:
 
     Args:
         path: The file.
-        claims: Claims that replace the file's own; empty: the file's own claims.
+        claims: Claims that replace the file's own claims. An empty sequence leaves the file's own claims in
+            place.
 
     Raises:
         MissingPackageError: No package reads such a file.
@@ -155,7 +165,10 @@ def recorded_run(path: Path, claims: Sequence[Claim] = ()) -> Any:
 
 
 def titled(title: str) -> InputFile:
-    """Return the kind of files with a title; MissingPackageError if no package adds this kind."""
+    """Return the kind of files with a title.
+
+    Raise MissingPackageError if no package adds this kind.
+    """
     if (added := input_files().get(title)) is None:
         expected = f"a package that adds the entry point {title} to safety_harness.inputs"
         hint = f"pip install --force-reinstall {DISTRIBUTION}"
@@ -170,17 +183,18 @@ def refuse_other_kind(
     place: Place | None = None,
     expected: str = "",
 ) -> None:
-    """Raise ``error`` for a file of another kind; the error names the kind and the command for it.
+    """Raise ``error`` for a file of another kind.
 
-    A file of unknown kind passes.  So does a damaged file that may be of a wanted kind.  The reader of the
-    file will refuse both.
+    The error states the kind of the file, and the command that accepts files of this kind. A file of unknown
+    kind passes. A damaged file passes too if it may be of a wanted kind. The function that later reads such a
+    file refuses it.
 
     Args:
         path: The file or folder.
         *wanted: The allowed kinds.
         error: The type of the error.
-        place: The place of the file's name; None: the file itself.
-        expected: Completes "expected ..."; empty: the wanted kinds.
+        place: The place at which the file's name is written. None means the file itself.
+        expected: A text that completes "expected ...". An empty text means the wanted kinds.
 
     """
     kind = kind_of(path)
@@ -198,7 +212,9 @@ def refuse_other_kind(
 
 
 def command_for(path: Path, kind: Kind, *wanted: Kind) -> str:
-    """Return the command for a file of an unexpected kind; empty if there is no such command.
+    """Return the command for a file of an unexpected kind.
+
+    The text is empty if there is no such command.
 
     Args:
         path: The file or folder.
@@ -224,12 +240,12 @@ def command_for(path: Path, kind: Kind, *wanted: Kind) -> str:
 
 
 def _either(texts: Sequence[str]) -> str:
-    """Return ``texts`` joined as alternatives: ``a, b or c``."""
+    """Join ``texts`` as alternatives, as in ``a, b or c``."""
     return " or ".join([", ".join(texts[:-1])] * (len(texts) > 1) + [texts[-1]])
 
 
 def _first_in(folder: Path, wanted: set[Kind]) -> Path | None:
-    """Return the first file in a folder that is of a ``wanted`` kind, or None."""
+    """Return the first file in a folder whose kind is in ``wanted``, or None."""
     try:
         entries = sorted(folder.iterdir())[:MOST_ENTRIES]
     except OSError:
@@ -258,8 +274,10 @@ def _binary_kind(path: Path, head: bytes) -> FileKind | None:
         return _zip_kind(path)
     if head.startswith(b"SQLite format 3\0"):
         return FileKind.LEDGER
+    # A file of safetensors: eight bytes with the length of the header, then the header in JSON.
     if head[8:10] == b'{"' and int.from_bytes(head[:8], "little") < HEAD_BYTES:
         return FileKind.MODEL
+    # The beginning of a pickle, which older files of PyTorch are.
     if head[:1] == b"\x80" and head[1:2] in b"\2\3\4\5" and path.suffix in (".pt", ".pth", ".bin", ".ckpt"):
         return FileKind.TORCH
     if b"\0" in head and not head.startswith(_UTF_16):
@@ -268,7 +286,7 @@ def _binary_kind(path: Path, head: bytes) -> FileKind | None:
 
 
 def _zip_kind(path: Path) -> FileKind:
-    """Return the kind of a ZIP file, from the names in the directory at the file's end.
+    """Return the kind of a ZIP file, determined by the names in the directory at the file's end.
 
     The function unpacks nothing, because a file of foreign origin may unpack to any size.
     """
@@ -304,13 +322,16 @@ def _text_kind(path: Path, text: str) -> Kind | None:
 
 
 def _format_of(text: str) -> str | None:
-    """Return the format that a JSON text of ours declares."""
+    """Return the format that a JSON text of the harness declares."""
     declared = _FORMAT.search(text)
     return declared[1] if declared else None
 
 
 def avoider_in(path: Path) -> str:
-    """Return the first class with a ``propose`` in a Python file, or "NAME"; the file is not executed."""
+    """Return the first class with a ``propose`` in a Python file, or "NAME" if there is no such class.
+
+    The file is not executed.
+    """
     try:
         with warnings.catch_warnings(action="ignore"):
             tree = ast.parse(_head(path))

@@ -1,7 +1,7 @@
-"""One layout for every scenario file, which keeps comments, units and the order of free keys.
+"""Write every scenario file in one layout.
 
-The file is read with everything that a person sees in it (comments, blank lines, styles).  Then all its lines
-are written anew.
+The comments, the units, and the order of free keys do not change. The module reads a file with all its
+visible features, such as comments, blank lines and styles. Then the module writes all lines anew.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from safety_harness.scenario.compose import SPACE_KEY, is_space
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, parse_tree
 from safety_harness.scenario.reference_tables import COMPOSED, TOP
 
-PROSE_WIDTH, FLOW_WIDTH = 120, 110
+PROSE_WIDTH, FLOW_WIDTH = 120, 110  # columns of a text, and of a value on one line; a choice
 _NUMBER = re.compile(r"[+-]?[.0-9][^,\[\]{}]*")
 _FIRST = ("scenario", SPACE_KEY, "suite", "about", *COMPOSED.names, "choices")
 _WHOLE_FILE = Below(tables=(TOP,))
@@ -40,7 +40,7 @@ _COMMENT = re.compile(r"(?<!\S)#.*")
 
 @dataclass
 class Comment:
-    """A comment: where it starts in the text, its line (from 0) and its column."""
+    """A comment with its index in the text, its line (counted from 0) and its column."""
 
     text: str
     index: int
@@ -50,7 +50,10 @@ class Comment:
 
 @dataclass
 class WrittenValue:
-    """A value as it is written; ``raw`` holds the lines of a block of prose, beginning with its header."""
+    """A value as it is written in a file.
+
+    If the value is a block of prose, ``raw`` contains the lines of the block, beginning with its header.
+    """
 
     kind: str  # "scalar", "list" or "mapping"
     flow: bool = False
@@ -63,7 +66,10 @@ class WrittenValue:
 
 @dataclass
 class LayoutEntry:
-    """A key with its value, or an item of a list; an empty text in ``above`` means a blank line."""
+    """A key with its value, or an item of a list.
+
+    An empty text in ``above`` stands for a blank line.
+    """
 
     key: WrittenValue | None
     value: WrittenValue
@@ -73,12 +79,15 @@ class LayoutEntry:
 
     @property
     def name(self) -> str:
-        """The text of the key; empty if the entry is an item of a list."""
+        """The text of the key, or an empty text if the entry is an item of a list."""
         return self.key.text if self.key else ""
 
 
 def written_tree(text: str) -> tuple[WrittenValue, int]:
-    """Return the tree of a text that ``parse_tree`` accepts, and the number of comments in the text."""
+    """Return the tree of a text that ``parse_tree`` accepts.
+
+    Also return the number of comments in the text.
+    """
     kinds = ScalarEvent | CollectionStartEvent | CollectionEndEvent
     events = [event for event in YAML(typ="safe", pure=True).parse(text) if isinstance(event, kinds)]
     comments = _comments(text, events)
@@ -86,13 +95,19 @@ def written_tree(text: str) -> tuple[WrittenValue, int]:
 
 
 def _comments(text: str, events: Sequence[Event]) -> list[Comment]:
-    """Return every comment of a text: a # that begins a word outside of scalars, and the rest of its line."""
+    """Return every comment of a text.
+
+    A comment begins with a # that is at the start of a word and outside of scalars, and it lasts until the
+    end of the line.
+    """
     parts, at = [], 0
     for event in events:
         if isinstance(event, ScalarEvent):
             start, end = event.start_mark.index, event.end_mark.index
             if event.style in ("|", ">"):  # a comment may stand beside the sign that begins the prose
                 start += len(text[start:end].partition("\n")[0])
+            # A # within a scalar begins no comment.  The replacement has the same length, so all positions
+            # stay.
             parts += [text[at:start], text[start:end].replace("#", "x")]
             at = end
     comments = []
@@ -104,7 +119,7 @@ def _comments(text: str, events: Sequence[Event]) -> list[Comment]:
 
 
 class _Builder:
-    """The construction of a written tree, in which every comment is given to the entry that it belongs to."""
+    """A builder for the tree of a written file; it assigns every comment to the entry where it belongs."""
 
     def __init__(self, text: str, events: Sequence[Event], comments: list[Comment]) -> None:
         self._text, self._events, self._next = text, events, 0
@@ -143,7 +158,10 @@ class _Builder:
         return value
 
     def _entry(self, mapping: bool, *, first: bool) -> LayoutEntry:
-        """Return the next key with its value, or the next item, with the comments above and beside it."""
+        """Return the next key with its value, or the next item.
+
+        The comments above and beside a key or an item belong to it.
+        """
         start = self._events[self._next].start_mark
         above = self._comments_up_to(start.index, start.line, first=first)
         key, beside_key = None, ""
@@ -170,7 +188,10 @@ class _Builder:
         return len(self._text) + 1
 
     def _beside(self) -> str:
-        """Return the comment on the line where the last event ends, if no other value comes before it."""
+        """Return the comment on the line where the last event ends.
+
+        The text is empty if another value comes before the comment.
+        """
         last, mark = self._events[self._next - 1], self._end_mark()
         if last.start_mark.index == mark.index:
             return ""  # the parser places an empty value where the next entry begins
@@ -182,10 +203,10 @@ class _Builder:
         return here[0].text
 
     def _comments_up_to(self, index: int, line: int, *, first: bool) -> list[str]:
-        """Return the comments before ``index`` with the blank lines around them, and remove these comments.
+        """Remove the comments before ``index``, and return them with the blank lines around them.
 
-        The last blank line may precede ``line``.  Before the ``first`` entry of a block, there
-        is no leading blank line.
+        A blank line before ``line`` also belongs to the result. If the entry is the ``first`` of its block, a
+        blank line above the result is omitted.
         """
         comments = [comment for comment in self._comments if comment.index < index]
         self._comments = self._comments[len(comments) :]
@@ -203,13 +224,17 @@ class _Builder:
 
 
 def laid_out(text: str, file: Path | None = None) -> str:
-    """Return ``text`` in the layout, with unchanged meaning; ScenarioError if ``text`` is no tree."""
+    """Return ``text`` in the layout, with its meaning unchanged.
+
+    Raise ScenarioError if ``text`` is not a tree.
+    """
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     original = parse_tree(text, file)
     root, comments = written_tree(text)
     # The order of a space's values decides the order of its parameters, so it has a meaning.
     lines = list(_head(root)) + _block(root, None if is_space(original) else _WHOLE_FILE)
     new = "\n".join(lines).strip("\n") + "\n"
+    # The layout must neither change the meaning nor lose a comment.
     if meaning(parse_tree(new, file)) != meaning(original) or written_tree(new)[1] != comments:
         expected = "a file that can be laid out without a change of what it says"
         raise ScenarioError.of_file(file, expected, "one that cannot; it is left as it is")
@@ -219,7 +244,7 @@ def laid_out(text: str, file: Path | None = None) -> str:
 def meaning(node: Node) -> object:
     """Return the content of a tree, without its line numbers and without the order of its keys.
 
-    The order of claims is kept.
+    The content includes the order of claims.
     """
     if isinstance(node, Scalar):
         return node.text
@@ -268,9 +293,9 @@ def _collapsed(lines: list[str]) -> list[str]:
 
 
 def _item(entry: LayoutEntry, kind: Value | None) -> list[str]:
-    """Return the lines of an item in a list of ``kind``, with a dash before the first line.
+    """Return the lines of a list item of the kind ``kind``, with a dash before the first line.
 
-    Comments at the beginning of the item are put above it.
+    Comments at the beginning of the item stand above the item.
     """
     kind = kind.of if isinstance(kind, Several) else None
     flow = _flow(entry.value, 2 + len(entry.beside), kind)
@@ -314,7 +339,7 @@ def _beside(line: str, comment: str) -> str:
 def _flow(value: WrittenValue, used: int, kind: Value | None) -> str | None:
     """Return the value written on one line, or None if it needs several lines.
 
-    One line is chosen for a value that was on one line before, and for a list of numbers.
+    A value is on one line if it was on one line before, or if it is a list of numbers.
 
     Args:
         value: The value.
@@ -351,18 +376,22 @@ def _is_long_prose(value: WrittenValue, used: int) -> bool:
 
 
 def _scalar(value: WrittenValue) -> str:
-    """Return a scalar written on one line, with quotes only if it needs them."""
+    """Return a scalar on one line, in quotes only if the scalar needs quotes."""
     return scalar_text(value.text) if value.style or "\n" in value.text else value.text
 
 
 def _scalar_lines(value: WrittenValue, start: str) -> list[str]:
-    """Return the lines of a scalar that may need several; ``start`` precedes its first line."""
+    """Return the lines of a scalar that may need several lines.
+
+    The text ``start`` precedes the first line.
+    """
     if value.raw:
         header, *lines = value.raw
         widths = [len(line) - len(line.lstrip()) for line in lines if line.strip()]
         first = next((line for line in lines if line.strip()), "")
         width = min(widths, default=0)
         regular = widths and len(first) - len(first.lstrip()) == width
+        # The layout changes the indentation, so a text whose indentation has a meaning needs quotes.
         if not regular or any(character.isdigit() for character in header.split("#")[0]):
             return [start + scalar_text(value.text.rstrip("\n"))]
         return [start + header[0], *(f"  {line[width:]}" if line[width:] else "" for line in lines)]
@@ -373,7 +402,10 @@ def _scalar_lines(value: WrittenValue, start: str) -> list[str]:
 
 
 def _ordered(value: WrittenValue, kind: Value | None) -> list[tuple[LayoutEntry, Value | None]]:
-    """Return the entries with their kinds, in the documented order; free keys and items stay as they are."""
+    """Return the entries with their kinds, in the documented order.
+
+    Free keys and items of a list stay in their order.
+    """
     if isinstance(kind, FreeKeys):
         return [(entry, kind.of) for entry in value.entries]
     if not isinstance(kind, Below):

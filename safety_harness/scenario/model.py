@@ -1,7 +1,7 @@
 """A scenario as frozen data: one test case, independent of all packages that run it.
 
-The scenario refers to claims and avoiders only by the user's words; ``admission`` resolves them.  All values
-are in SI; ``read`` converts the units of a file.
+The scenario refers to claims and avoiders only by the user's words, and ``admission`` resolves these words.
+All values are in SI; ``read`` converts the units of a file.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ from safety_harness.scenario.shield import Shield
 from safety_harness.scenario.units import ACCELERATION, NUMBER, SPEED, TIME
 
 MAX_HANDS = HAND_SLOTS[-1]
-LARGEST_SEED = 2**63 - 1
-FEWEST_JOINTS, MOST_JOINTS = 3, 8
+LARGEST_SEED = 2**63 - 1  # the largest signed integer of 64 bits
+FEWEST_JOINTS, MOST_JOINTS = 3, 8  # of an arm; a choice
 DEFAULT_AVOIDER = "mc-dropout"
 VISUAL_SERVO = "visual servo"  # the only controller that asks an avoider
 NO_AVOIDER = ""
-LARGEST_FACTOR = 10.0
-LONGEST_GAP_S = 10.0
+LARGEST_FACTOR = 10.0  # by which a recording may be sped up; a choice
+LONGEST_GAP_S = 10.0  # in a recording, which straight motion bridges; a choice
 FASTEST_JUMP_MPS = 1000.0  # of noise between two samples that follow each other quickly
 # An assumption.  A reach of 0.66 m with the minimum-jerk profile of Flash and Hogan (1985) that peaks
 # at v = 2.0 m/s (REACHING_MPS) has at most 1.642 v^2/d = 10 m/s^2, for the distance d.
@@ -56,9 +56,10 @@ ACCELERATIONS_MPS2 = (0.1, 100.0)  # a value outside is a slip of the unit
 
 
 class Driver(str):
-    """A reference to a controller that replaces the visual servo, used like the reference of an avoider.
+    """A reference to a controller that replaces the visual servo.
 
-    The system under test is either the avoider that the visual servo asks, or the driver of the arm.
+    A reference of the type Driver may be used wherever a reference to an avoider is allowed. The system under
+    test is either the avoider of the visual servo, or the controller that drives the arm.
     """
 
     __slots__ = ()
@@ -102,8 +103,8 @@ _JOINTS = Several(
 class OffsetStart:
     """A TCP start relative to the desired pose.
 
-    ``offset_in_base_m`` shifts the desired TCP position.  ``tilt_in_tcp_rad`` is a rotation vector in the
-    desired TCP frame; with a zero vector the camera looks straight down.
+    ``offset_in_base_m`` shifts the desired TCP position. ``tilt_in_tcp_rad`` is a rotation vector in the
+    desired TCP frame. If the vector is zero, the camera looks straight down.
     """
 
     offset_in_base_m: Vector3 = key(
@@ -129,7 +130,10 @@ class JointStart:
 
 @declared
 class PoseStart:
-    """A TCP start given by its position in the base frame; ``tilt_in_tcp_rad`` is as in OffsetStart."""
+    """A TCP start given by its position in the base frame.
+
+    ``tilt_in_tcp_rad`` has the same meaning as in OffsetStart.
+    """
 
     position_in_base_m: Vector3 = key(
         "position",
@@ -159,9 +163,10 @@ class MovingHand:
     """A hand that makes one move after another, and then rests.
 
     At every moment the forearm points from the hand's centre to ``elbow_towards_in_base_m``, where the person
-    stands.  ``shift_in_base_m`` is added to the start and to every point of the moves.  The first move begins
-    after ``delay_s``.  The hand, with its tremor, never exceeds ``max_speed_mps``.  Its moves never exceed
-    ``max_acceleration_mps2``, to which the tremor's acceleration is added.
+    stands. ``shift_in_base_m`` is added to the start and to every point of the moves. The first move begins
+    after ``delay_s``. The speed of the hand, with its tremor, never exceeds ``max_speed_mps``. The
+    acceleration of the hand's moves never exceeds ``max_acceleration_mps2``; the tremor's acceleration comes
+    in addition.
     """
 
     name: str = key(
@@ -215,11 +220,12 @@ class MovingHand:
 
 @dataclass(frozen=True, eq=False)
 class RecordedMotion:
-    """The samples of a recorded hand's motion, placed, turned and timed in the robot's base frame.
+    """The samples of a recorded hand's motion in the robot's base frame.
 
-    ``time_s`` (n,) rises strictly from 0.  ``hand_position_in_base_m`` and ``elbow_position_in_base_m`` are
-    (n, 3), finite.  Between samples the motion is straight.  ``notes`` describes the gaps and jumps that
-    straight motion bridges, with their sizes.
+    The positions and times are those of the run. ``time_s`` (n,) begins at 0 and rises strictly.
+    ``hand_position_in_base_m`` and ``elbow_position_in_base_m`` are finite, each of shape (n, 3). Between
+    samples the motion is straight. ``notes`` describes the gaps and jumps that are bridged by straight
+    motion, and states their sizes.
     """
 
     time_s: NDArray[np.float64]
@@ -267,13 +273,14 @@ _JUMP = QuantityValue(SPEED, above=0.0, most=FASTEST_JUMP_MPS)
 class RecordedHand:
     """A hand that repeats a recording.
 
-    The recording is turned by ``turn_rad`` about the vertical, and its first used sample is moved to
-    ``starts_at_in_base_m`` + ``shift_in_base_m``.  The motion begins after ``delay_s``, and is
-    ``speed_factor`` times as fast.  Only the part from ``from_s`` to ``to_s`` on the recording's clock is
-    used (None: its ends).
+    The recording is turned by ``turn_rad`` about the vertical axis. The first used sample is moved to
+    ``starts_at_in_base_m`` + ``shift_in_base_m``. The hand's motion begins after ``delay_s``. Its speed is
+    ``speed_factor`` times the speed in the recording. Only the part from ``from_s`` to ``to_s`` on the
+    recording's clock is used. None stands for the beginning or the end of the recording.
 
-    Without a recorded elbow, the forearm points to ``elbow_towards_in_base_m``.  If ``max_speed_mps`` is
-    None, the bound is the recording's own speed, or REACHING_MPS if the recording is sped up.
+    Without a recorded elbow, the forearm points to the point ``elbow_towards_in_base_m``. If
+    ``max_speed_mps`` is None, the bound is the highest speed in the recording, or REACHING_MPS if the
+    recording is sped up.
     """
 
     recording: Path = key(
@@ -344,7 +351,7 @@ class RecordedHand:
 
 @declared
 class JoinedHand:
-    """A hand on the same part as an earlier hand, always ``apart_in_base_m`` from that hand."""
+    """A hand that moves with an earlier hand, always at the offset ``apart_in_base_m`` from that hand."""
 
     name: str = key("hand", _HAND_NAME, "for messages and reports", "- hand: left")
     joined_to: str = key(
@@ -377,8 +384,8 @@ class Claim:
     Args:
         sentence: The sentence.
         expected: The expected verdict.
-        most: The largest expected violation, with its SI unit: the margin must be at least minus this.  None:
-            no bound.
+        most: The bound of an expected violation, with its SI unit: the margin must be at least the negative
+            of this bound. None: no bound.
         edition: The edition of the catalogue that defines the sentence; an old trace or ledger states its
             own.
         place: The place of the claim in its file.
@@ -392,21 +399,21 @@ class Claim:
     place: Place = field(default_factory=Place, compare=False)
 
     def given(self, margin: float | None) -> Verdict:
-        """Return the verdict that this claim expects of a run whose margin is ``margin``.
+        """Return the verdict that this claim expects of a run with the margin ``margin``.
 
-        The verdict is the expected one, or HOLDS if the margin is beyond the bound.  ``margin`` is None for a
-        run that has no margin.
+        The result is HOLDS if the violation exceeds the claim's bound, and otherwise the expected verdict.
+        ``margin`` is None for a run that has no margin.
         """
         is_beyond = self.most is not None and (margin is None or not -margin <= self.most[0])
         return Verdict.HOLDS if is_beyond else self.expected
 
     def is_loosely(self, verdict: Verdict) -> bool:
-        """Return whether a violation is expected without a bound, and ``verdict`` is a violation."""
+        """Return whether ``verdict`` is a violation that the author expects without a bound."""
         return verdict is Verdict.VIOLATED is self.expected and self.most is None
 
     @property
     def expectation(self) -> str:
-        """The expected verdict with its bound, as it stands in a file."""
+        """The expected verdict with its bound, in the form that a file contains."""
         bound = "" if self.most is None else f"{BY_AT_MOST}{self.most[0]!r} {self.most[1]}".rstrip()
         return f"{self.expected.value}{bound}"
 
@@ -417,25 +424,28 @@ class Scenario:
 
     Args:
         name: The name, unique among the scenarios of a command.
-        title: The title, one line.
-        about: A text for people; may be empty.
+        title: The title, which is one line of text.
+        about: A description for people, which may be empty.
         duration_s: The length of a run.
-        seed: The root of all random numbers of a run.
+        seed: The seed from which all random numbers of a run derive.
         start: The TCP start.
         hands: At most MAX_HANDS hands.
-        avoider: The reference of the avoider; NO_AVOIDER if ``controller`` is not VISUAL_SERVO.
+        avoider: The reference to the avoider, or NO_AVOIDER if ``controller`` is not VISUAL_SERVO.
         claims: The claims with their expected verdicts.
         settings: The settings of the system and its cell.
         robot: The arm.
         faults: The faults of sensors, joints and avoider.
         obstacles: The boxes in the cell.
-        controller: The reference of the controller that drives the arm.
-        shield: The shield between controller and drives; None: no shield.
-        safety_filter: The reference of the user's filter between controller and drives; empty: no filter.
-        predictor: The reference of what predicts the hands; empty: the Kalman filter, without its sets.
-        gate: The gate's demands beyond its own checks; None: no further demands.
+        controller: The reference to the controller that drives the arm.
+        shield: The shield between the controller and the drives. None means that there is no shield.
+        safety_filter: The reference to the user's filter between the controller and the drives. An empty text
+            means that there is no filter.
+        predictor: The reference to the predictor of the hands; An empty text means the Kalman filter, without
+            predicted sets.
+        gate: The requirements that are added to the gate's own checks. None means that there are no further
+            requirements.
         extensions: Keys that packages add, each with its value.
-        file: The file; None: a scenario from a text.
+        file: The file that contains the scenario. None means that the scenario comes from a text.
         places: The place of each field in the file.
 
     """
@@ -463,16 +473,20 @@ class Scenario:
     places: Mapping[str, Place] = field(default_factory=dict, compare=False)
 
     def __repr__(self) -> str:
-        """Return name and title only, since tests print it; ``write_scenario`` returns the whole scenario."""
+        """Return only the name and the title, because tests print this text.
+
+        ``write_scenario`` returns the whole scenario.
+        """
         return f"<scenario {self.name}: {self.title}>"
 
     def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
         printer.text(repr(self))
 
     def place(self, *names: str) -> Place:
-        """Return the place of the first of the fields ``names`` that the file contains.
+        """Return the place of the first field in ``names`` that the file contains.
 
-        Errors found after reading use it.  If the file contains no such field, the place has no line.
+        An error that is found after the file was read states this place. If the file contains no such field,
+        the place has no line number.
 
         Args:
             *names: Paths of fields, such as ``hands[0].starts at``.
@@ -482,7 +496,7 @@ class Scenario:
         return self.places.get(written, Place(file=self.file, field=written))
 
     def inadmissible(self, expected: str, got: str, *names: str, hint: str = "") -> InadmissibleError:
-        """Return the error for fields of this scenario.
+        """Return an error that concerns fields of this scenario.
 
         Args:
             expected: Completes "expected ...".
@@ -494,10 +508,10 @@ class Scenario:
         return InadmissibleError(place=self.place(*names), expected=expected, got=got, hint=hint)
 
     def with_files(self, name: Callable[[str], str]) -> Scenario:
-        """Return this scenario with renamed files of its recordings and of the user's own arm.
+        """Return this scenario after renaming the files of its recordings and of the user's own arm.
 
         Args:
-            name: Returns the new name of a file.
+            name: The function that returns the new name of a file.
 
         """
         hands = (
@@ -508,9 +522,10 @@ class Scenario:
         return replace(self, hands=tuple(hands), robot=robot)
 
     def leader(self, hand: HandTrajectory) -> MovingHand | RecordedHand | None:
-        """Return the hand that leads ``hand``: itself, or the earlier hand that it is joined to.
+        """Return the hand that determines the motion of ``hand``.
 
-        The result is None if a joined hand names no such earlier hand.
+        This leading hand is ``hand`` itself, or the earlier hand to which ``hand`` is joined. The result is
+        None if ``hand`` is joined to another hand and no earlier hand has that hand's name.
         """
         if not isinstance(hand, JoinedHand):
             return hand
@@ -519,29 +534,39 @@ class Scenario:
 
     @property
     def driven(self) -> bool:
-        """Whether a controller other than the visual servo drives the arm, without avoider and gate."""
+        """Whether a controller other than the visual servo drives the arm.
+
+        In this case, the run has no avoider and no gate.
+        """
         return self.controller != VISUAL_SERVO
 
     @property
     def under_test(self) -> str:
-        """The reference of the system under test: the visual servo's avoider, or otherwise a ``Driver``."""
+        """The reference to the system under test: the avoider of the visual servo, or a ``Driver``."""
         return Driver(self.controller) if self.driven else self.avoider
 
     @property
     def parts_under_test(self) -> tuple[str, ...]:
-        """The references of the system under test, and of its safety filter and its predictor, if any."""
+        """The references to the system under test, its safety filter and its predictor.
+
+        A safety filter or predictor that does not exist is left out.
+        """
         return (self.under_test, *filter(None, (self.safety_filter, self.predictor)))
 
     @property
     def has_parts_beside(self) -> bool:
-        """Whether a run calls a safety filter or a predictor at each tick, so that it runs alone."""
+        """Whether a run calls a safety filter or a predictor at each tick.
+
+        Such a run cannot be part of a batch.
+        """
         return bool(self.safety_filter or self.predictor)
 
     @property
     def hand_slots(self) -> int:
-        """The number of hands for which each record of a run has room: the smallest that suffices.
+        """The number of hands for which a tick of the run has room.
 
-        ScenarioError if there are too many hands.
+        It is the smallest available number that is sufficient. Raise ScenarioError if there are too many
+        hands.
         """
         for slots in HAND_SLOTS:
             if len(self.hands) <= slots:

@@ -1,4 +1,4 @@
-"""Replacement of the words of earlier releases in a file; the rest of its text stays."""
+"""Replace the words of earlier releases in a file, and leave the rest of its text unchanged."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ FORMER = {table.told_by: table.former for table in (TOP, *TOP.below()) if table.
 
 
 def modernised(text: str, in_words_of_today: Callable[[str], str], file: Path | None = None) -> str:
-    """Return a file's text with today's keys and sentences.
+    """Return a file's text with the present keys and sentences.
 
     Args:
         text: The text of a scenario, space, suite or plan.
-        in_words_of_today: Returns today's words for a sentence of an earlier release, and any other sentence
-            as it is.
+        in_words_of_today: A function that returns the present wording of a sentence of an earlier release. It
+            returns any other sentence unchanged.
         file: The file, for errors.
 
     Raises:
@@ -38,7 +38,7 @@ def modernised(text: str, in_words_of_today: Callable[[str], str], file: Path | 
 
 
 def _edits(node: Node, in_words_of_today: Callable[[str], str]) -> Iterator[tuple[int, int, str]]:
-    """Yield (begin, end, new text) for each scalar below ``node`` that uses former words."""
+    """Yield (begin, end, new text) for each scalar below ``node`` that has the wording of an old release."""
     if isinstance(node, ScalarNode):
         if (new := in_words_of_today(node.value)) != node.value:
             yield node.start_mark.index, node.end_mark.index, new

@@ -1,8 +1,8 @@
-"""The moves of a hand, each a frozen object, and their form in a file.
+"""Define the moves of a hand, each as a frozen object, and their form in a file.
 
-A hand is at rest before its first move.  A straight move begins and ends at rest.  Its speed rises and falls
-at the hand's acceleration, up to at most the move's speed.  If a move begins while the hand still moves, the
-hand stops first.
+A hand is at rest before its first move. A straight move begins and ends at rest. During a straight move, the
+speed changes at the hand's acceleration and does not exceed the speed of the move. If a move begins while the
+hand still moves, the hand stops first.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from safety_harness.scenario.units import LENGTH, NUMBER, RATE, SPEED, TIME
 REACHING_MPS = 2.0
 
 LONGEST_S = 3600.0  # of a run, and of anything in it
-FASTEST_MPS = 20.0
-MOST_TIMES = 1000
+FASTEST_MPS = 20.0  # a choice
+MOST_TIMES = 1000  # repetitions in a row; a choice
 # Bounds of a tremor: a value outside them means a mistaken unit.
 TREMORS_M = (1e-5, 0.02)
 TREMORS_HZ = (0.1, 20.0)
@@ -54,10 +54,11 @@ _TREMOR_OF_1_MM = "tremor: {amplitude: 1 mm, rate: 8 Hz}"
 
 @declared
 class Tremor:
-    """A small involuntary motion on an ellipse, which is added to every move and to rest.
+    """A small involuntary motion on an ellipse.
 
-    The displacement is ``amplitude_m`` / sqrt(3) sin(2 pi ``rate_hz`` t + phase) along each axis, at time t.
-    The phases come from the scenario's seed, and the displacement never exceeds the amplitude.
+    This motion is added to every move, and also to a hand at rest. At time t, the displacement along each
+    axis is ``amplitude_m`` / sqrt(3) sin(2 pi ``rate_hz`` t + phase). The phases come from the scenario's
+    seed, and the displacement never exceeds the amplitude.
     """
 
     amplitude_m: float = key("amplitude", _AMPLITUDE, "the displacement is never larger", _TREMOR_OF_1_MM)
@@ -95,7 +96,10 @@ class Wait:
 
 @declared
 class Hesitation:
-    """A pause in a reach, ``distance_m`` before its goal and for ``duration_s``; then the reach continues."""
+    """A pause during a reach, after which the reach continues.
+
+    At the distance ``distance_m`` from its goal, the hand stops for the time ``duration_s``.
+    """
 
     distance_m: float = key("hesitating at", _DISTANCE, "the distance at which the hand stops on its way")
     duration_s: float = key("for", LASTING, "how long it stops there")
@@ -106,9 +110,10 @@ HESITATION = table_of(Hesitation, "hesitation")
 
 @declared
 class ReachForTcp:
-    """A reach for the TCP, wherever the TCP is at the moment, until the hand is ``until_distance_m`` from it.
+    """A reach for the moving TCP, until the hand is ``until_distance_m`` from the TCP.
 
-    If the TCP retreats, the reach ends after ``at_most_s``.
+    If the hand does not come so near, for example because the TCP retreats, the reach ends after the time
+    ``at_most_s``.
     """
 
     speed_mps: float = key(
@@ -131,7 +136,7 @@ class ReachForTcp:
 
 @declared
 class ReachForObject:
-    """A reach straight to the object's origin, until the hand is ``until_distance_m`` from it."""
+    """A straight reach to the object's origin, until the hand is ``until_distance_m`` from this origin."""
 
     speed_mps: float = key("reach for object", SPEEDS, "the same, straight to the object")
     until_distance_m: float = key(
@@ -146,7 +151,10 @@ class ReachForObject:
 
 @declared
 class FollowTcp:
-    """A pursuit of the TCP for ``duration_s``; the hand stops ``distance_m`` from the TCP."""
+    """A pursuit of the TCP for ``duration_s``.
+
+    The hand stops when it is ``distance_m`` from the TCP.
+    """
 
     speed_mps: float = key(
         "follow tcp", SPEEDS, "keep heading for the TCP for that long, to stop that far from it"
@@ -157,10 +165,10 @@ class FollowTcp:
 
 @declared
 class Wander:
-    """Motion from one random point of a box to the next for ``duration_s``.
+    """Motion from one random point of a box to the next, for the time ``duration_s``.
 
-    The points are uniform, drawn from the seed.  ``corners_in_base_m`` are two opposite corners of the box,
-    in any order.
+    The points are distributed uniformly and drawn from the seed. ``corners_in_base_m`` are two opposite
+    corners of the box, in any order.
     """
 
     speed_mps: float = key(
@@ -174,7 +182,7 @@ class Wander:
 
 @declared
 class Sweep:
-    """Motion to ``from_in_base_m``, and then ``times`` times to ``to_in_base_m`` and back."""
+    """Motion to ``from_in_base_m``, and then ``times`` motions to ``to_in_base_m`` and back."""
 
     speed_mps: float = key("sweep", SPEEDS, "to the one point, then so many times to the other and back")
     from_in_base_m: Vector3 = key("from", POINT, "where a sweep begins and ends")
@@ -207,7 +215,10 @@ _EXAMPLES: dict[type[Any], str] = {
 
 
 def _table_of_move(kind: type[Any], example: str) -> KeyTable:
-    """Return the table of a move; its first key names the move, and all its keys share ``example``."""
+    """Return the table of a move.
+
+    The first key gives the move its name, and ``example`` is the example of every key.
+    """
     table = table_of(kind, "")
     keys = tuple(replace(key, example=example) for key in table.keys)
     name = keys[0].name

@@ -1,7 +1,9 @@
 """The text of a scenario file as a tree whose parts know their file and line.
 
-The YAML 1.2 parser only produces events.  The reader constructs no value from them, obeys no tag, and expands
-or executes no text.  The reader refuses, by name, features that the small language does not need.  These are
+The YAML 1.2 parser only produces events. The reader refuses features that the small language does not need,
+and states their names in the error.
+
+These features are tags, anchors and aliases, several documents in a file, tabs, and deep nesting. These are
 tags, anchors and aliases, several documents, tabs, and deep nesting.
 """
 
@@ -35,9 +37,9 @@ _MOST_NODES = 20_000  # in one file; reading that many takes a second or two
 
 @dataclass(frozen=True)
 class Scalar:
-    """A single value: its text, after quotes and folding are removed.
+    """A single value, given by its text without quotes and folding.
 
-    In a drawn scenario, ``drawn`` is the number with its unit that replaces the text.
+    In a drawn scenario, ``drawn`` is a number with its unit, which replaces the text.
     """
 
     text: str
@@ -57,7 +59,10 @@ class Sequence:
 
 @dataclass(frozen=True)
 class Mapping:
-    """Keys and values in the order of the file; the reader refuses a duplicate key."""
+    """Keys and values in the order of the file.
+
+    The reader refuses a duplicate key.
+    """
 
     entries: tuple[tuple[Scalar, Node], ...]
     line: int
@@ -73,7 +78,7 @@ def parse_tree(text: str, file: Path | None) -> Node:
 
     Args:
         text: The text.
-        file: Its file, for errors; None: no file.
+        file: The file that contains the text, for error messages. None means that there is no file.
 
     Raises:
         ScenarioError: The text is malformed, or it uses a feature outside the language.
@@ -96,7 +101,10 @@ def parse_tree(text: str, file: Path | None) -> Node:
 
 
 def join(path: str, key: str) -> str:
-    """Return the path of ``key`` below the field ``path``, such as ``tcp start.offset``; always printable."""
+    """Return the path of the key ``key`` in the mapping at ``path``.
+
+    An example of a path is ``tcp start.offset``. The result is always printable.
+    """
     if not key.isprintable():
         key = "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in key)
     return f"{path}.{key}" if path else key
@@ -104,7 +112,10 @@ def join(path: str, key: str) -> str:
 
 @dataclass
 class _Builder:
-    """The construction of nodes from the parser's events; ``path`` names the current field."""
+    """A builder of nodes from the parser's events.
+
+    In its methods, ``path`` is the name of the current field.
+    """
 
     events: Iterator[Event]
     file: Path | None
@@ -135,7 +146,10 @@ class _Builder:
             index += 1
 
     def _entries(self, path: str, depth: int) -> Iterator[tuple[Scalar, Node]]:
-        """Yield the keys and values of a mapping; ScenarioError if a key occurs twice."""
+        """Yield the keys and values of a mapping.
+
+        Raise ScenarioError if a key occurs twice.
+        """
         first_line: dict[str, int] = {}
         while not isinstance(event := next(self.events), MappingEndEvent):
             key = self.node(event, path=path, depth=depth)
@@ -153,7 +167,7 @@ class _Builder:
             yield key, value
 
     def _refuse_what_has_no_use(self, event: Event, path: str, depth: int) -> None:
-        """Raise ScenarioError for an alias, an anchor or a tag, and for nesting that is too deep."""
+        """Raise ScenarioError for an alias, an anchor, a tag, or a nesting that is too deep."""
         line = _line(event)
         if isinstance(event, AliasEvent):
             raise _error(self.file, line, "the value itself", f"the alias *{event.anchor}", path)
@@ -167,7 +181,10 @@ class _Builder:
 
 
 def _events(text: str, file: Path | None) -> Iterator[Event]:
-    """Yield the parser's events; any exception of the parser becomes a ScenarioError with the line."""
+    """Yield the parser's events.
+
+    Any exception of the parser becomes a ScenarioError with the line.
+    """
     try:
         yield from YAML(typ="safe", pure=True).parse(text)
     except MarkedYAMLError as error:
@@ -212,10 +229,11 @@ REFERRING = (*TESTED, "recording")  # keys whose values name files
 
 
 def references_in(node: Node, keys: tuple[str, ...] = REFERRING, *, inside: bool = False) -> Iterator[str]:
-    """Yield the texts below ``keys`` in a space that may name files: plain values and alternatives.
+    """Yield each text of a space that may be a file name.
 
-    No other text names a file.  So a hand with the name ``/etc/passwd``, for example, brings no file into a
-    ledger.
+    Only texts below one of the ``keys`` may be file names. Such texts are plain values and alternatives.
+    Texts below other keys are never file names. For example, a hand with the name ``/etc/passwd`` therefore
+    adds no file to a ledger.
     """
     if isinstance(node, Scalar):
         text = node.text

@@ -1,7 +1,8 @@
-"""Recognition of our YAML files in a folder, with the same rules for every command and for pytest.
+"""Find out which YAML files in a folder belong to the harness.
 
-Other programs have files with a ``scenario:``, a ``suite:`` or ``claims:`` too.  A scenario is ours if it has
-a key that only we use, or if it extends a file of ours.  A suite is ours if it lists a file of ours.
+All commands and the pytest plug-in use the same rules. Other programs also have files with the keys
+``scenario:``, ``suite:`` or ``claims:``. A scenario file belongs to the harness if it has a key that only the
+harness uses, or if it extends such a file. A suite belongs to the harness if it lists such a file.
 """
 
 from __future__ import annotations
@@ -32,10 +33,10 @@ Entries = Mapping[str, Node | None]
 
 
 def is_ours(path: Path, known: dict[Path, bool] | None = None) -> bool:
-    """Return whether a file is a scenario, a space or a suite of ours, even if it has mistakes.
+    """Return whether a file is a scenario, a space or a suite of the harness, even if it has mistakes.
 
-    The function never raises.  ``known`` holds the results so far.  Files that refer to each other in a
-    circle are ours.
+    The function never raises. ``known`` contains the results for files that were examined before. Files that
+    refer to each other in a circle count as files of the harness.
     """
     known = {} if known is None else known
     key = resolved(path)
@@ -46,12 +47,15 @@ def is_ours(path: Path, known: dict[Path, bool] | None = None) -> bool:
 
 
 def is_titled(path: Path) -> bool:
-    """Return whether a file has the title of a scenario or a suite, which other programs use too."""
+    """Return whether a file has a title of a scenario or a suite, which other programs also use."""
     return _has_title(_entries(path))
 
 
 def yaml_files(folder: Path) -> Iterator[Path]:
-    """Yield every YAML file below ``folder``, sorted by name, from the subfolders that pytest enters."""
+    """Yield every YAML file below ``folder``, sorted by name.
+
+    The function skips subfolders that pytest would not enter.
+    """
     for at, folders, files in os.walk(folder):
         folders[:] = sorted(name for name in folders if _is_entered(Path(at, name)))
         yield from (Path(at, name) for name in sorted(files) if Path(name).suffix.lower() in SUFFIXES)
@@ -60,16 +64,16 @@ def yaml_files(folder: Path) -> Iterator[Path]:
 def files_of(
     path: Path, wanted: tuple[FileKind, ...], place: Place | None = None
 ) -> tuple[list[Path], list[Path]]:
-    """Return the files of ``path`` that are of a wanted kind, and its other files.
+    """Return two lists: the files of ``path`` that are of a wanted kind, and the other files of ``path``.
 
-    If ``path`` is a file, it is the only wanted file.  If ``path`` is a folder, its files and those of its
-    subfolders are examined.  If none is wanted, the function returns all of them as wanted, so that their
-    reader reports their kind.
+    If ``path`` is a file, it is the only wanted file. If ``path`` is a folder, the function examines its
+    files and the files in its subfolders. If no file is of a wanted kind, the first list contains all files.
+    Then the function that reads these files reports their kind.
 
     Args:
-        path: A file or a folder; ``shipped:NAME`` works too.
+        path: A file or a folder. A name of the form ``shipped:NAME`` is also accepted.
         wanted: The kinds to return.
-        place: The place of the path, for the error; None: the folder itself.
+        place: The place at which the path is written, for the error. None means the folder itself.
 
     Raises:
         ScenarioError: A folder has no YAML file.
@@ -88,7 +92,7 @@ def files_of(
 
 
 def _is_wanted(file: Path, wanted: tuple[FileKind, ...], known: dict[Path, bool]) -> bool:
-    """Return whether a file found in a folder is ours and of a wanted kind."""
+    """Return whether a file in a folder belongs to the harness and is of a wanted kind."""
     kind = kind_of(file)
     if kind is FileKind.PLAN:
         return kind in wanted
@@ -96,7 +100,10 @@ def _is_wanted(file: Path, wanted: tuple[FileKind, ...], known: dict[Path, bool]
 
 
 def aside_lines(files: Iterable[Path]) -> list[str]:
-    """Return a line for each kind of file that a command skipped in folders."""
+    """Return one line for each kind of file that a command skipped in folders.
+
+    The line lists the names of these files.
+    """
     by_kind: dict[str, list[str]] = {}
     for file in files:
         kind = kind_of(file)
@@ -111,16 +118,19 @@ def _is_entered(folder: Path) -> bool:
 
 
 def _has_title(entries: Entries) -> bool:
-    """Return whether a file's top keys include a title whose value is a text on one line.
+    """Return whether a key at the top of a file is a title.
 
-    If the file cannot be parsed, any title suffices.
+    The value of a title must be a text on one line. If the file cannot be parsed, any title is sufficient.
     """
     titles = [node for key, node in entries.items() if key.lower() in TITLES]
     return any(node is None or (isinstance(node, Scalar) and bool(node.text)) for node in titles)
 
 
 def _is_ours(path: Path, known: dict[Path, bool]) -> bool:
-    """Return whether a file is ours, without using a result for this file in ``known``."""
+    """Return whether a file belongs to the harness.
+
+    The function examines the file even if ``known`` contains a result for it.
+    """
     entries = _entries(path)
     if _FOREIGN & {*entries}:
         return False
@@ -137,13 +147,13 @@ def _is_ours(path: Path, known: dict[Path, bool]) -> bool:
 
 
 def _has_verdicts(claims: Node | None) -> bool:
-    """Return whether the value of any claim in ``claims`` begins with a verdict of ours."""
+    """Return whether the value of any claim in ``claims`` begins with one of the harness's verdicts."""
     values = [node for _, node in claims.entries] if isinstance(claims, MappingNode) else []
     return any(isinstance(value, Scalar) and value.text.startswith(_VERDICTS) for value in values)
 
 
 def _leads_to_ours(path: Path, text: str, known: dict[Path, bool]) -> bool:
-    """Return whether ``text``, a path in the file ``path``, leads to a file of ours."""
+    """Return whether the path ``text`` in the file ``path`` leads to a file of the harness."""
     there = path.parent / text
     if text.startswith(PREFIX):
         return True
@@ -153,8 +163,8 @@ def _leads_to_ours(path: Path, text: str, known: dict[Path, bool]) -> bool:
 def _entries(path: Path) -> Entries:
     """Return the keys at the top of a file with their values.
 
-    If the text cannot be parsed, all values are None.  If it contains no keyword of ours, the result is
-    empty.
+    If the text cannot be parsed, all values are None. If the text contains no key of the harness, the result
+    is empty.
     """
     try:
         if not path.is_file():

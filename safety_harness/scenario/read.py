@@ -1,7 +1,8 @@
 """Scenario files: ``read_scenario`` turns a safety engineer's text into a Scenario.
 
-docs/reference/scenario.md is the reference of the language.  Each function here reads one object.  All checks
-that need no kinematics are in this module, and every error states file, line and field.
+docs/reference/scenario.md is the reference of the language. Each function of this module reads one object of
+the file. This module makes all checks that need no kinematics, and every error states the file, the line and
+the field.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ from safety_harness.scenario.robots import AnyRobot, OwnRobot, read_robot
 from safety_harness.scenario.settings_keys import SETTINGS_KEYS, TOP_GROUPS, read_group, setting_keys
 from safety_harness.scenario.units import DIMENSIONS, parse_quantity, shown
 
-MOST_TICKS = 1_000_000
+MOST_TICKS = 1_000_000  # some 0.7 GB of trace in memory
 SMALLEST_BOX_M = 0.01  # from corner to corner
 SHORTEST_SWEEP_M = 0.001
 # A message lists the moves after the other required keys.
@@ -78,7 +79,7 @@ def read_scenario(path: str | Path | Scenario) -> Scenario:
     Raises:
         ScenarioError: The file is malformed, or it is a matrix or a suite (``read_all_scenarios`` reads
             these).
-        RecordingError: A recording in it cannot be used.
+        RecordingError: The file refers to a recording that cannot be used.
         InputError: ``path`` is neither a path nor a Scenario.
 
     """
@@ -90,7 +91,10 @@ def read_scenario(path: str | Path | Scenario) -> Scenario:
 
 
 def scenario_of_variant(variant: Variant, file: Path) -> Scenario:
-    """Return the scenario of one tree from ``file``; ScenarioError if the tree contains a distribution."""
+    """Return the scenario that the tree in ``variant`` describes.
+
+    The tree comes from ``file``. Raise ScenarioError if the tree contains a distribution.
+    """
     refuse_distributions(Field(variant.tree, file, path="", line=1))
     return scenario_of(variant.tree, file, name=variant.name)
 
@@ -103,14 +107,16 @@ def parse_scenario(
     name: str | None = None,
     claims_required: bool = True,
 ) -> Scenario:
-    """Return the scenario that ``text`` describes; the text must not extend another file.
+    """Return the scenario that ``text`` describes.
+
+    The text must not extend another file.
 
     Args:
         text: The text.
-        file: A path whose folder contains the recordings.  None: the working directory.
-        recordings: Contents of recordings, and of an arm's files, by their SHA-256.  Where the text states a
-            ``sha256`` beside a file, the content replaces the file.
-        name: The name of the scenario; None: from ``file``, else "unnamed".
+        file: A path whose folder contains the recordings. None means the working directory.
+        recordings: The contents of recordings and of an arm's files, with their SHA-256 as keys. Where the
+            text states a ``sha256`` beside a file, the content replaces the file.
+        name: The name of the scenario. None means the name of ``file`` or, without a file, "unnamed".
         claims_required: Whether to refuse a scenario without claims, which has no verdict.
 
     Raises:
@@ -134,7 +140,10 @@ def scenario_of(
     name: str,
     claims_required: bool = True,
 ) -> Scenario:
-    """Return the scenario that a tree describes; arguments and errors are as in ``parse_scenario``."""
+    """Return the scenario that a tree describes.
+
+    The arguments and errors are as in ``parse_scenario``.
+    """
     root = Field(tree, file, path="", line=1)
     given = root.fields(TOP.names, hints=_COMPOSED)
     values = TOP.values(given)
@@ -155,7 +164,10 @@ def scenario_of(
 
 
 def _choose_controller(given: Fields, values: dict[str, Any]) -> None:
-    """Set NO_AVOIDER for a controller that asks no avoider; ScenarioError if the file gives both."""
+    """Set NO_AVOIDER for a controller that queries no avoider.
+
+    Raise ScenarioError if the file also states an avoider.
+    """
     if values["controller"] == VISUAL_SERVO:
         return
     if "avoider" in given:
@@ -166,7 +178,7 @@ def _choose_controller(given: Fields, values: dict[str, Any]) -> None:
 
 
 def refuse_distributions(root: Field) -> None:
-    """Raise ScenarioError, with a hint, if a tree is a scenario space or has a distribution as a value."""
+    """Raise ScenarioError, with a hint, if a tree is a scenario space or contains a distribution."""
     if not isinstance(root.node, MappingNode):
         return
     for key, field in root.entries("a scenario"):
@@ -198,7 +210,10 @@ def _check_duration(duration_s: float, field: Field, settings: Settings) -> None
 
 
 def _settings(given: Fields, robot: AnyRobot) -> Settings:
-    """Return the defaults with the file's values; the user's own arm brings its own braking data."""
+    """Return the default settings with the file's changes.
+
+    The braking data of a user's own arm are part of the arm, not of the settings.
+    """
 
     def read(named_group: tuple[str, Field]) -> tuple[str, Any]:
         name, group = named_group
@@ -217,7 +232,10 @@ def _settings(given: Fields, robot: AnyRobot) -> Settings:
 
 
 def _misplaced() -> dict[str, str]:
-    """Return advice for keys that belong one level lower, in ``settings``, or one level higher."""
+    """Return advice for misplaced keys in ``settings``.
+
+    Such a key belongs one level lower, in a group, or at the top of the file.
+    """
     hints = {key: f'"{key}:" stands at the top of the file' for key in TOP_GROUPS}
     for group, name in SETTINGS_KEYS.items():
         for key in setting_keys(type(getattr(DEFAULTS, name))):
@@ -230,9 +248,10 @@ def _misplaced() -> dict[str, str]:
 def _hands(
     field: Field | None, *, settings: Settings, carried: Mapping[str, bytes]
 ) -> tuple[HandTrajectory, ...]:
-    """Return the hands, at most MAX_HANDS, each with its own name.
+    """Return the hands of the scenario.
 
-    ``carried`` holds the bytes of recordings by their SHA-256; they replace files.
+    There may be at most MAX_HANDS hands, and their names must differ. ``carried`` contains the contents of
+    recordings, with their SHA-256 as keys. These contents replace the files.
     """
     if field is None:
         return ()
@@ -255,7 +274,10 @@ def _hands(
 
 
 def _moving_hand(given: Fields) -> MovingHand:
-    """Return a hand that makes moves; ScenarioError if its values contradict each other."""
+    """Return a hand that makes moves.
+
+    Raise ScenarioError if the values of the hand contradict each other.
+    """
     hand: MovingHand = MOVING_HAND.made_of(given)
     if hand.elbow_towards_in_base_m == shifted(hand.starts_at_in_base_m, hand.shift_in_base_m):
         raise given.required("elbow towards").error("a point other than where the hand starts")
@@ -270,7 +292,7 @@ def _moving_hand(given: Fields) -> MovingHand:
 
 
 def _check_move(move: HandMove, given: Mapping[str, Field], hand: MovingHand) -> None:
-    """Raise ScenarioError for a move that is too fast for its hand or whose values contradict each other."""
+    """Raise ScenarioError for a move that is too fast for its hand, or whose values contradict each other."""
     if isinstance(move, Wander) and _apart_m(*move.corners_in_base_m) < SMALLEST_BOX_M:
         expected = f"a box of at least {SMALLEST_BOX_M * 1e3:g} mm from corner to corner"
         raise given["within"].error(expected)
@@ -294,7 +316,7 @@ def _apart_m(first: Vector3, second: Vector3) -> float:
 
 
 def _joined_hand(given: Fields, earlier: list[HandTrajectory]) -> JoinedHand:
-    """Return a hand that accompanies one of the hands in ``earlier``."""
+    """Return a hand that moves together with an earlier hand, which must be in ``earlier``."""
     hand: JoinedHand = JOINED_HAND.made_of(given)
     names = [candidate.name for candidate in earlier if not isinstance(candidate, JoinedHand)]
     if hand.joined_to not in names:
@@ -305,14 +327,15 @@ def _joined_hand(given: Fields, earlier: list[HandTrajectory]) -> JoinedHand:
 
 
 def _recorded_hand(given: Fields, settings: Settings, carried: Mapping[str, bytes]) -> RecordedHand:
-    """Return a hand that repeats a recording, with its motion.
+    """Return a hand that repeats a recording, together with its motion.
 
-    RecordingError if the recording cannot be used.
+    Raise RecordingError if the recording cannot be used.
     """
     values = RECORDED_HAND.values(given)
     recording = _recording(given, values["recording"], values.pop("motion", ""), carried)
     values.setdefault("name", values["track"].replace("_", " "))
     values["elbow_track"] = _elbow_track(given, values, recording)
+    # The motion depends on the hand's other values, so it is loaded last.
     hand = RecordedHand(motion=NOT_LOADED, **values)
     places = {key: given.required(key).place for key in given}
     motion = load_recording(recording, hand, forearm_length_m=settings.hand.forearm_length_m, places=places)
@@ -322,9 +345,9 @@ def _recorded_hand(given: Fields, settings: Settings, carried: Mapping[str, byte
 
 
 def _refuse_too_fast(given: Fields, hand: RecordedHand) -> None:
-    """Raise ScenarioError if a recorded hand is faster than its bound.
+    """Raise ScenarioError if a recorded hand moves faster than its bound.
 
-    If the file states no bound, and the recording is not sped up, any speed passes.
+    If the file states no bound and the recording is not sped up, the function accepts any speed.
     """
     if hand.max_speed_mps is None and hand.speed_factor <= 1.0:
         return
@@ -338,7 +361,7 @@ def _refuse_too_fast(given: Fields, hand: RecordedHand) -> None:
 
 
 def _recording(given: Fields, path: Path, digest: str, carried: Mapping[str, bytes]) -> Recording:
-    """Return the carried recording with the SHA-256 that the file states, else the file's recording."""
+    """Return the recording with the stated SHA-256 from ``carried``, or otherwise from the file."""
     field = given.required("recording")
     file = located((field.file.parent if field.file else Path()) / path, field.place)
     if digest in carried:
@@ -353,9 +376,9 @@ def _recording(given: Fields, path: Path, digest: str, carried: Mapping[str, byt
 
 
 def _elbow_track(given: Fields, values: Mapping[str, Any], recording: Recording) -> str | None:
-    """Return the track of the elbow; None if the forearm points to a fixed point.
+    """Return the track of the elbow, or None if the forearm points to a fixed point.
 
-    By default, the track is the elbow on the hand's side.
+    The default is the track of the elbow on the same side as the hand.
     """
     if "elbow track" in given and "elbow towards" in given:
         expected = "either an elbow track or a point that the elbow is towards"
@@ -372,13 +395,19 @@ def _elbow_track(given: Fields, values: Mapping[str, Any], recording: Recording)
 
 
 def _claims(field: Field, *, required: bool) -> tuple[Claim, ...]:
-    """Return the claims as sentences with expected verdicts; admission looks up the sentences later."""
+    """Return the claims as sentences with expected verdicts.
+
+    Admission looks up the sentences later.
+    """
     entries = CLAIMS.read(field) if required else field.entries(CLAIMS.expected)
     return tuple(each(lambda entry: _claim(*entry), entries))
 
 
 def _claim(sentence: str, verdict: Field) -> Claim:
-    """Return a claim with its expected verdict, and with the bound of an expected violation."""
+    """Return a claim with its expected verdict.
+
+    If the verdict is a violation, the claim may have a bound.
+    """
     if not is_sentence(sentence):
         raise verdict.error(SENTENCE, got=shown(sentence))
     text, bounded, largest = verdict.scalar(EXPECTED).partition(BY_AT_MOST)

@@ -1,11 +1,12 @@
-"""Recorded hands: a CSV file of marker positions becomes a motion in the robot's base frame.
+"""Read recorded hands: a CSV file of marker positions becomes a motion in the robot's base frame.
 
-The file has a column ``time_s`` and, for each tracked point, ``<track>_x_m``, ``<track>_y_m`` and
-``<track>_z_m``.  The table's size is bounded, and a cell remains text until a hand uses its track.
+The file has a column ``time_s``. For each tracked point, it has the columns ``<track>_x_m``, ``<track>_y_m``
+and ``<track>_z_m``. The size of the table is limited. The cells of the table are converted to numbers only
+when a hand uses their track.
 
-Real recordings have gaps (empty cells) and swapped markers (jumps of several metres a second).  Within the
-user's bounds, straight motion bridges both, and notes report how.  Larger gaps and jumps are refused.  No
-position is smoothed.
+Real recordings have gaps (empty cells) and swapped markers (jumps of several metres per second). Up to the
+user's limits, gaps and jumps are bridged by straight motion, and notes describe them. Larger gaps and jumps
+raise an error. The module smooths no position.
 """
 
 from __future__ import annotations
@@ -32,12 +33,12 @@ from safety_harness.scenario.model import RecordedHand, RecordedMotion
 from safety_harness.scenario.moves import shifted
 from safety_harness.scenario.units import shown
 
-MAX_BYTES = 20_000_000
+MAX_BYTES = 20_000_000  # a limit of the memory; a choice
 MAX_ROWS = 200_000  # half an hour at 100 Hz
-MAX_COLUMNS = 1_000
+MAX_COLUMNS = 1_000  # a choice
 TIME_COLUMN = "time_s"
 _LARGEST_TIME_S = 1e10  # a clock that counts from 1970 still fits
-LARGEST_COORDINATE_M = 100.0
+LARGEST_COORDINATE_M = 100.0  # a larger coordinate means a mistaken unit
 _SHORTEST_STEP_S = 1e-6  # between two rows
 _NEAREST_ELBOW_M = 1e-3  # from the hand; nearer, the forearm has no direction
 _MISSING_ROWS = 1.5  # sampling periods; if two rows are farther apart, rows are missing
@@ -47,7 +48,10 @@ _ADVICE = 'leave it out with "from" and "to", or raise "longest gap"'
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A recording as it stands in its file; a cell becomes a number only when a hand uses its track."""
+    """A recording as it is in its file.
+
+    The reader converts the cells of a track to numbers only when a hand uses this track.
+    """
 
     file: Path
     sha256: str
@@ -63,14 +67,20 @@ class Recording:
         return tuple(stem for stem in stems if {f"{stem}_y_m", f"{stem}_z_m"} <= set(self.header))
 
     def elbow_of(self, track: str) -> str | None:
-        """Return the elbow on the side of ``track``, such as ``right_elbow`` for ``right_hand``, or None."""
+        """Return the elbow on the same side as ``track``, or None.
+
+        For example, the elbow of ``right_hand`` is ``right_elbow``.
+        """
         elbow = track.replace("hand", "elbow")
         return elbow if elbow != track and elbow in self.tracks else None
 
 
 @lru_cache(maxsize=8)  # once for all the scenarios that repeat the same bytes
 def parse_recording(data: bytes, file: Path) -> Recording:
-    """Return the table in the bytes of a CSV file; RecordingError if they are no table with a time column."""
+    """Return the recording in the bytes of a CSV file.
+
+    Raise RecordingError if they are not a table with a time column.
+    """
     text = decode(data, most=MAX_BYTES, file=file, error=RecordingError)
     header, rows, lines = _read_table(text, file)
     column = header.index(TIME_COLUMN)
@@ -92,7 +102,10 @@ def parse_recording(data: bytes, file: Path) -> Recording:
 
 
 def _read_table(text: str, file: Path) -> tuple[tuple[str, ...], list[tuple[str, ...]], list[int]]:
-    """Return header, rows and the rows' line numbers, without empty lines."""
+    """Return the header, the rows and the rows' line numbers.
+
+    The result omits empty lines.
+    """
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     rows: list[tuple[str, ...]] = []
     lines: list[int] = []
@@ -131,7 +144,7 @@ def _read_table(text: str, file: Path) -> tuple[tuple[str, ...], list[tuple[str,
 
 
 def _check_time(time_s: NDArray[np.float64], lines: list[int], file: Path) -> None:
-    """Raise RecordingError unless there are at least two samples and their times rise."""
+    """Raise RecordingError if there are fewer than two samples, or if the times do not rise."""
     if len(time_s) < 2:
         raise _error(file, expected="at least two samples", got=str(len(time_s)))
     for index in np.flatnonzero(~np.isfinite(time_s)):
@@ -143,7 +156,7 @@ def _check_time(time_s: NDArray[np.float64], lines: list[int], file: Path) -> No
 
 
 def _number(cell: str, file: Path, line: int | np.int64, column: str, largest: float) -> float:
-    """Return the number in a cell, or NaN for a gap, which is an empty cell or "nan".
+    """Return the number in a table cell, or NaN for a gap, which is an empty cell or "nan".
 
     Args:
         cell: The text of the cell.
@@ -175,10 +188,11 @@ def _error(
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """The samples of one point within the part of a recording that is used.
+    """The samples of one tracked point in the used part of a recording.
 
-    ``time_s`` (n,) rises strictly.  ``position_m`` (n, 3) is NaN for an empty cell.  ``line`` (n,) is each
-    sample's line in ``file``, for messages.  ``window_s`` is the requested part.
+    ``time_s`` (n,) rises strictly. ``position_m`` (n, 3) has the positions; an empty table cell becomes NaN.
+    ``line`` (n,) states on which line of ``file`` each sample is, for messages. ``window_s`` states which
+    part of the recording the hand uses.
     """
 
     name: str
@@ -190,25 +204,31 @@ class Track:
 
     @cached_property
     def longest_step_s(self) -> float:
-        """The longest time between two rows that counts as a time without missing rows."""
+        """The longest time between two consecutive rows at which no row is regarded as missing."""
         return _MISSING_ROWS * (float(np.median(np.diff(self.time_s))) if len(self.time_s) > 1 else 0.0)
 
     def speed_mps(self, first: int, second: int) -> float:
-        """Return the speed [m/s] of a straight motion from sample ``first`` to sample ``second``."""
+        """Return the speed [m/s] of straight motion from sample ``first`` to sample ``second``."""
         way_m = length(self.position_m[second] - self.position_m[first])
         return float(way_m / (self.time_s[second] - self.time_s[first]))
 
 
 @dataclass(frozen=True, eq=False)
 class MendedTrack:
-    """A track whose swapped samples are marked: ``usable`` (n,) is true for all other samples."""
+    """A track whose swapped samples have been found.
+
+    ``usable`` (n,) is true for samples that are present and not swapped.
+    """
 
     track: Track
     usable: NDArray[np.bool_]
     note: str  # the bridged gaps and removed jumps; empty without any
 
     def at(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the positions (k, 3) at ``time_s`` (k,), on straight lines between usable samples."""
+        """Return the positions (k, 3) at the times ``time_s`` (k,).
+
+        Straight lines connect the usable samples.
+        """
         known_s, known_m = self.track.time_s[self.usable], self.track.position_m[self.usable]
         return np.stack([np.interp(time_s, known_s, known_m[:, axis]) for axis in range(3)], axis=1)
 
@@ -216,7 +236,7 @@ class MendedTrack:
 def _mend(track: Track, longest_gap_s: float, fastest_jump_mps: float) -> MendedTrack:
     """Return ``track`` with its swapped samples marked, and a note on the bridged gaps.
 
-    RecordingError if fewer than two samples are usable or a gap exceeds ``longest_gap_s``.
+    Raise RecordingError if fewer than two samples are usable, or if a gap exceeds ``longest_gap_s``.
     """
     seen: NDArray[np.bool_] = np.asarray(np.isfinite(track.position_m).all(axis=1))
     usable, jumps = _without_jumps(track, seen, fastest_jump_mps)
@@ -241,12 +261,13 @@ def _mend(track: Track, longest_gap_s: float, fastest_jump_mps: float) -> Mended
 def _without_jumps(
     track: Track, seen: NDArray[np.bool_], fastest_mps: float
 ) -> tuple[NDArray[np.bool_], str]:
-    """Return which samples (n,) show the tracked marker itself, and a note on the jumps; ``seen`` is (n,).
+    """Return a mask of the samples that show the tracked marker, and a note on the jumps to other markers.
 
-    A sample shows another marker if the motion from the last good sample would be faster than
-    ``fastest_mps``.  So does each sample that follows such a sample without a break or a second jump.
-    Without this second rule, a swapped marker would become plausible again as time passes, although it has
-    not come back.
+    The mask has the shape (n,). ``seen`` (n,) is true for the samples that are present. A sample shows
+    another marker if reaching it from the last good sample would require a speed above ``fastest_mps``. The
+    samples after such a sample also show the other marker, until a row is missing or a second jump occurs.
+    Without this second rule, a swapped marker would become plausible after some time, although the tracked
+    marker has not returned.
     """
     usable = np.zeros(len(seen), dtype=np.bool_)
     indices = np.flatnonzero(seen).tolist()
@@ -274,7 +295,7 @@ def _without_jumps(
 
 
 def _check_ends(track: Track, good: list[int], seen: NDArray[np.bool_], longest_gap_s: float) -> None:
-    """Refuse a window whose first or last gap is too long to ignore."""
+    """Refuse a window whose first or last gap is longer than the allowed gap."""
     begin_s, end_s = track.window_s
     first_s, last_s = float(track.time_s[good[0]]), float(track.time_s[good[-1]])
     if first_s - begin_s > longest_gap_s + _ROUNDING_S:
@@ -298,7 +319,10 @@ def _too_long(
 
 
 def _note(track: Track, good: list[int], bridged_s: list[float], jumps: str) -> str:
-    """Return a note on a late start, bridged gaps, an early end and jumps; empty if there are none."""
+    """Return a note on a late start, bridged gaps, an early end and jumps.
+
+    The note is empty if the track has no such defect.
+    """
     parts = []
     if good[0] > 0:
         parts.append(f"starts {_seconds(track.time_s[good[0]] - track.time_s[0])} late")
@@ -311,7 +335,7 @@ def _note(track: Track, good: list[int], bridged_s: list[float], jumps: str) -> 
 
 
 def _count(number: int, noun: str) -> str:
-    """Return a number with its noun, which is in the plural unless the number is 1."""
+    """Return a number with its noun in the singular or the plural."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
@@ -327,16 +351,17 @@ def load_recording(
     forearm_length_m: float,
     places: Mapping[str, Place] = MappingProxyType({}),
 ) -> RecordedMotion:
-    """Return the part of the recording that ``hand`` repeats, mended, turned and placed.
+    """Return the motion of ``hand``.
 
-    At time 0, the first used sample of ``hand.track`` lies at the hand's start, where the hand rests for
-    ``delay_s``.  Gaps and jumps are measured in the recording's own time, before ``speed_factor`` applies.
-    The elbow comes from ``elbow_track``.  Without such a track it lies ``forearm_length_m`` from the hand
-    towards ``elbow_towards_in_base_m``.
+    It is a part of the recording, with its gaps bridged, turned about the vertical axis and moved. At time 0,
+    the hand is at its start, which is the first used sample of ``hand.track``. The hand rests at its start
+    for ``delay_s``. Gaps and jumps are measured in the time of the recording, independently of
+    ``speed_factor``. The elbow follows the track ``elbow_track``. Without such a track, the elbow lies at the
+    distance ``forearm_length_m`` from the hand, in the direction of the point ``elbow_towards_in_base_m``.
 
     Args:
         recording: The recording.
-        hand: The hand that repeats it.
+        hand: The hand that repeats the recording.
         forearm_length_m: The length of a forearm without a recorded elbow.
         places: The places of the hand's keys (``track``, ``from``, ...), for errors.
 
@@ -352,6 +377,7 @@ def load_recording(
     mended = [_mended(recording, name, window_s, hand.longest_gap_s, hand.fastest_jump_mps) for name in names]
     time_s = _common_times(mended, recording.file)
     start_in_base_m = np.array(shifted(hand.starts_at_in_base_m, hand.shift_in_base_m))
+    # Turn about the hand's first sample, for the elbow too, and then move that sample to the start.
     recorded_m = mended[0].at(time_s)
     hand_in_base_m = _turned(recorded_m - recorded_m[0], hand.turn_rad) + start_in_base_m
     if hand.elbow_track is not None:
@@ -363,6 +389,7 @@ def load_recording(
         )
     played_s = (time_s - time_s[0]) / hand.speed_factor + hand.delay_s
     if hand.delay_s > 0.0:
+        # A second sample at the start keeps the hand there during the delay.
         played_s = np.concatenate([[0.0], played_s])
         hand_in_base_m, elbow_in_base_m = (
             np.concatenate([track[:1], track]) for track in (hand_in_base_m, elbow_in_base_m)
@@ -377,7 +404,7 @@ def load_recording(
 
 
 def _window(recording: Recording, hand: RecordedHand, places: Mapping[str, Place]) -> tuple[float, float]:
-    """Return when the used part of the recording begins and ends, on the recording's clock."""
+    """Return the times on the recording's clock at which the used part begins and ends."""
     first_s, last_s = float(recording.time_s[0]), float(recording.time_s[-1])
     begin_s = first_s if hand.from_s is None else hand.from_s
     end_s = last_s if hand.to_s is None else hand.to_s
@@ -410,7 +437,7 @@ def _mended(
     longest_gap_s: float,
     fastest_jump_mps: float,
 ) -> MendedTrack:
-    """Return one point's track within ``window_s``, mended."""
+    """Return the track of one point within ``window_s``, with its swapped samples marked."""
     inside = np.flatnonzero((recording.time_s >= window_s[0]) & (recording.time_s <= window_s[1]))
     columns = [(column, recording.header.index(column)) for column in (f"{name}_{axis}_m" for axis in "xyz")]
     position_m = [
@@ -434,7 +461,10 @@ def _mended(
 
 
 def _common_times(mended: list[MendedTrack], file: Path) -> NDArray[np.float64]:
-    """Return the times at which a sample of any track is usable, from the time that all tracks cover."""
+    """Return the times at which any track has a usable sample.
+
+    Only times that all tracks cover are included.
+    """
     begin_s = max(float(track.track.time_s[track.usable][0]) for track in mended)
     end_s = min(float(track.track.time_s[track.usable][-1]) for track in mended)
     any_usable = np.logical_or.reduce([track.usable for track in mended])
@@ -447,7 +477,7 @@ def _common_times(mended: list[MendedTrack], file: Path) -> NDArray[np.float64]:
 
 
 def _turned(vector: NDArray[np.float64], angle_rad: float) -> NDArray[np.float64]:
-    """Return the vectors (n, 3) turned about z.
+    """Return the vectors (n, 3) after a rotation about the z axis.
 
     The product is written out, because a matrix product may round differently on another machine.
     """
@@ -463,7 +493,10 @@ def _elbows_towards(
     recording: Recording,
     places: Mapping[str, Place],
 ) -> NDArray[np.float64]:
-    """Return the elbows (n, 3), each ``length_m`` from the hand in the direction of one point."""
+    """Return the elbows (n, 3).
+
+    Each elbow is ``length_m`` away from the hand, in the direction of one point.
+    """
     forearm = np.array(towards_in_base_m) - hand_in_base_m
     distance_m = np.linalg.norm(forearm, axis=1, keepdims=True)
     if distance_m.min() < _NEAREST_ELBOW_M:

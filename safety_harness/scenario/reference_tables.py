@@ -1,4 +1,4 @@
-"""The tables of all keys of a scenario file, one for each mapping, in the recommended order."""
+"""The tables of all keys of a scenario file, one table for each mapping, in the recommended order."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ EXPECTED = "holds, violated, inconclusive or, with a bound, violated by at most 
 
 
 def _expectation(claim: Claim) -> str:
-    """Return the expected verdict of a claim as it stands in a file."""
+    """Return the expected verdict of a claim in the form that a file contains."""
     return claim.expectation
 
 
@@ -62,7 +62,10 @@ class _StartTable(KeyTable):
     """The table of a TCP start, which has three alternative forms."""
 
     def read(self, field: Field) -> Any:
-        """Return the start; ScenarioError if the keys belong to two of the forms."""
+        """Return the start.
+
+        Raise ScenarioError if the keys belong to more than one form of a start.
+        """
         given = field.fields(self.names)
         given_keys = [key for key in self.names if key in given and key != "tilt"]
         if len(given_keys) > 1 or ("joints" in given and "tilt" in given):
@@ -93,7 +96,10 @@ SETTINGS = KeyTable(
 
 
 def _title(field: Field) -> str:
-    """Return a title; ScenarioError for an empty one."""
+    """Return a title.
+
+    Raise ScenarioError for an empty title.
+    """
     title = field.prose("a title on one line")
     if not title.strip():
         raise field.error("a title on one line")
@@ -101,12 +107,15 @@ def _title(field: Field) -> str:
 
 
 def _prose(expected: str) -> Text:
-    """Return the kind of value for a text of several lines; ``expected`` serves messages."""
+    """Return the kind of value for a text of several lines.
+
+    The phrase ``expected`` describes it in messages.
+    """
     return Text(kind="text", reads=lambda field: field.prose(expected, lines=True))
 
 
 def _added(name: str) -> Key:
-    """Return the key ``name``, which a package adds."""
+    """Return the key with the name ``name``, which an installed package adds."""
     key: Key = part_named(ExtensionPoint.SCENARIO_KEYS, name, Key)
     return key
 
@@ -114,7 +123,7 @@ def _added(name: str) -> Key:
 def _read_added(field: Field) -> tuple[tuple[str, Any], ...]:
     """Return the keys that packages add, each with its value.
 
-    Only the packages of keys in the file are loaded.
+    Only the packages whose keys the file contains are loaded.
     """
     names, given = sorted(names_of(ExtensionPoint.SCENARIO_KEYS)), field.entries("a mapping")
     for name, below in given:

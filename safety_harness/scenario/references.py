@@ -1,4 +1,4 @@
-"""Texts in a scenario file that name another file, such as an avoider's program or model, or a recording."""
+"""Texts in a scenario file that refer to another file, such as an avoider's program or a recording."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ OWN_WAYS = ("exec", "tcp", "unix", "shipped")
 
 
 def file_and_name(reference: str) -> tuple[str, str]:
-    """Return the file in a reference to an avoider or controller, and the name within that file.
+    """Divide a reference to an avoider or controller into a file and a name within the file.
 
-    Both are empty for a reference without a file.  For an ONNX file, the name is the layout of its inputs and
-    outputs, if given (``onnx_names``).
+    Both parts are empty for a reference without a file. For an ONNX file, the name is the part of the
+    reference that states the layout of the inputs and outputs (``onnx_names``). It may be empty.
     """
     if names_a_program(reference):
         return "", ""
@@ -36,23 +36,32 @@ def file_and_name(reference: str) -> tuple[str, str]:
 
 
 def with_file(reference: str, name: Callable[[str], str]) -> str:
-    """Return a reference with ``name`` applied to its file; a reference without a file is unchanged."""
+    """Return a reference with ``name`` applied to its file.
+
+    A reference without a file is unchanged.
+    """
     file, inner = file_and_name(reference)
     return type(reference)(name(file) + (f":{inner}" if inner else "")) if file else reference
 
 
 def names_onnx(reference: str) -> bool:
-    """Return whether a reference names an ONNX file."""
+    """Return whether a reference leads to an ONNX file."""
     return file_and_name(reference)[0].endswith(ONNX_SUFFIX)
 
 
 def names_a_program(reference: str) -> bool:
-    """Return whether a reference names a program that speaks our protocol, or one that a package opens."""
+    """Return whether a reference leads to a program.
+
+    The program uses the harness's own protocol, or an installed package opens it.
+    """
     return reference.startswith((EXEC, TCP, UNIX)) or bool(added_way(reference))
 
 
 def added_way(reference: str) -> str:
-    """Return the name of the package's part that opens a controller such as ``ros2:/arm``; empty if none."""
+    """Return the name of the package part that opens a controller such as ``ros2:/arm``.
+
+    The name is empty if there is no such part.
+    """
     name = reference.partition(":")[0]
     return name if name != reference and name in _added_ways() else ""
 
@@ -61,7 +70,8 @@ def added_way(reference: str) -> str:
 def _added_ways() -> frozenset[str]:
     """Return the names of the parts with which packages open controllers.
 
-    A name must be a word that we do not use, so that it hides no file and no controller of ours.
+    Such a name must be a word that the harness does not use. Otherwise the name could hide a file or a
+    built-in controller.
     """
     names = set()
     for part in parts(ExtensionPoint.CONTROLLERS):
@@ -73,9 +83,9 @@ def _added_ways() -> frozenset[str]:
 
 
 def seen_from(folder: Path, path: str, standing_in: Path) -> str:
-    """Return ``path``, which is relative to ``standing_in``, as a path relative to ``folder``.
+    """Return ``path`` as a path relative to ``folder``.
 
-    Absolute paths, home paths and shipped names are unchanged.
+    The given path is relative to ``standing_in``. Absolute paths, home paths and shipped names are unchanged.
     """
     if Path(path).is_absolute() or path.startswith("~") or is_shipped(path):
         return path
@@ -83,9 +93,10 @@ def seen_from(folder: Path, path: str, standing_in: Path) -> str:
 
 
 def named_from(folder: Path, path: Path) -> str:
-    """Return how a file in ``folder`` names the file ``path``: by its shipped name, else relatively.
+    """Return the text with which a file in ``folder`` refers to the file ``path``.
 
-    A file given by its path gets a shipped name only in an installation.
+    The text is a shipped name or else a relative path. A shipped file that is given by its path gets its
+    shipped name only if the harness is installed.
     """
     if is_shipped(path):
         return shipped_name(located(path))
@@ -93,7 +104,10 @@ def named_from(folder: Path, path: Path) -> str:
 
 
 def portable(path: str, folder: Path) -> str:
-    """Return ``path`` as a result names it on any machine: relative to ``folder``, or its name alone."""
+    """Return ``path`` in a form that is valid on any machine.
+
+    The result is relative to ``folder``, or is the file's name alone.
+    """
     file = Path(os.path.expanduser(path))
     if not file.is_absolute():
         shared = os.path.commonpath([resolved(folder / file.parent), resolved(folder)])
@@ -103,7 +117,7 @@ def portable(path: str, folder: Path) -> str:
 
 
 def avoider_seen_from(folder: Path, reference: str, standing_in: Path) -> str:
-    """Return an avoider's reference with its file named as by ``seen_from``.
+    """Return an avoider's reference with its file rewritten by ``seen_from``.
 
     A reference without a file is unchanged.
     """

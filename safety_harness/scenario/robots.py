@@ -1,8 +1,8 @@
 """The arm in the cell: an arm of the package, or the user's own arm, given by its files.
 
-The user's own arm consists of a URDF, capsules from ``safety-harness robot fit``, stop times and a seat.  The
-reader keeps the texts of these files with their SHA-256, as it does for recordings.  So a trace can be judged
-without the files.  ``safety_harness.cell.robot.robots`` turns the texts into numbers.
+The user's own arm consists of a URDF, capsules from ``safety-harness robot fit``, stop times and a seat. The
+reader stores the texts of these files together with their SHA-256, in the same way as recordings. Therefore a
+trace can be judged without the files. ``safety_harness.cell.robot.robots`` turns the texts into numbers.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from safety_harness.scenario.references import seen_from
 from safety_harness.scenario.units import ANGULAR_SPEED, FRACTION, LENGTH, MASS, TIME, TIME_PER_SPEED, TORQUE
 from safety_harness.scenario.urdf_packages import urdf_of_package
 
-MAX_URDF_BYTES = 20_000_000
+MAX_URDF_BYTES = 20_000_000  # a limit of the memory, as the next number; a choice
 MAX_CAPSULES_BYTES = 4_000_000
 _ENDINGS = (".yaml", ".yml")
 FILES = ("urdf", "capsules")  # keys that name a file
@@ -79,14 +79,20 @@ class YesNo(Enum):
 
 
 class Angles(Enum):
-    """The unit of a URDF's position limits; the URDF format prescribes one."""
+    """The unit of the position limits in a URDF file.
+
+    The URDF format prescribes one unit.
+    """
 
     RAD = "rad"
 
 
 @declared
 class StopTimes:
-    """The stop of an arm: a reaction time, then braking within base + slope v, where v is the TCP's speed."""
+    """The times of an arm's stop: a reaction time, and a braking time of base + slope v.
+
+    Here, v is the TCP's speed.
+    """
 
     reaction_time_s: float = key(
         "reaction time",
@@ -118,7 +124,8 @@ class StopTimes:
 class Seat:
     """The place of an arm's base link in the base frame of the scenario, whose z axis points up.
 
-    The rotation is Rz(yaw) R(tilt); the rotation vector [180 deg, 0 deg, 0 deg] turns the arm upside down.
+    The rotation is Rz(yaw) R(tilt). For example, the rotation vector [180 deg, 0 deg, 0 deg] turns the arm
+    upside down.
     """
 
     position_in_base_m: Vector3 = key("position", POINT, "of the arm's base link", default=_ORIGIN)
@@ -130,7 +137,10 @@ class Seat:
 
 @declared
 class Piece:
-    """A capsule that encloses a part of the tool: all points within ``radius_m`` of the capsule's axis."""
+    """A capsule that encloses a part of the tool.
+
+    The capsule contains all points within ``radius_m`` of its axis.
+    """
 
     start_m: Vector3 = key("from", POINT, "one end of the axis", _PIECE)
     end_m: Vector3 = key("to", POINT, "the other end, which may be the same", _PIECE)
@@ -148,7 +158,10 @@ PIECES = Several(
 
 @declared
 class Tool:
-    """A tool on the link `tcp`, given in the frame of that link; the tool moves the TCP."""
+    """A tool on the link `tcp`.
+
+    All values of the tool are in the frame of that link. The tool moves the TCP.
+    """
 
     position_m: Vector3 = key("position", POINT, "of the TCP", "[0 mm, 0 mm, 150 mm]", default=_ORIGIN)
     tilt_rad: Vector3 = key("tilt", ROTATION, "of the TCP, a rotation vector", default=_ORIGIN)
@@ -162,7 +175,7 @@ class Tool:
 
 @declared
 class Payload:
-    """The load of the arm, that is, tool and part together, as a point mass."""
+    """The load of the arm, which is a point mass for the tool and the part together."""
 
     mass_kg: float = key("mass", QuantityValue(MASS, least=0.0, most=1000.0), "of tool and part", "2 kg")
     centre_m: Vector3 = key(
@@ -176,7 +189,10 @@ class Payload:
 
 @declared
 class Drives:
-    """The response of an arm's drives to a demanded velocity; a payload implies torque limits."""
+    """The response of an arm's drives to a demanded velocity.
+
+    A payload implies torque limits.
+    """
 
     dead_time_s: float = key(
         "dead time",
@@ -210,12 +226,18 @@ class Drives:
 
     @property
     def torque_limit(self) -> float | None:
-        """The share of the URDF's efforts that the drives reach; None if torque has no limit."""
+        """The fraction of the URDF's effort limits that the drives reach.
+
+        The fraction is None without a torque limit.
+        """
         return 1.0 if self.torque_share is None and self.payload is not None else self.torque_share
 
 
 def _sha256(field: Field) -> str:
-    """Return the SHA-256 in a field, which must be 64 hex digits; ScenarioError for another text."""
+    """Return the SHA-256 in a field.
+
+    Raise ScenarioError unless the text has 64 hexadecimal digits.
+    """
     digest = field.scalar("a SHA-256")
     if not re.fullmatch(r"[0-9a-f]{64}", digest):
         raise field.error("a SHA-256: 64 digits and letters from a to f")
@@ -229,17 +251,21 @@ _EXAMPLE_SHA256 = "0123456789abcdef" * 4
 
 
 def _one_a_joint(noun: str, number: QuantityValue) -> Several:
-    """Return the kind of a list with a number for each joint; ``noun`` names the numbers."""
+    """Return the kind of a list with one number for each joint.
+
+    The word ``noun`` describes the numbers.
+    """
     expected = f"a list of {noun}, one a joint, from the base"
     return Several(of=number, kind=f"list of {noun}", expected=expected, least=3, most=8)
 
 
 @declared
 class OwnRobot:
-    """The user's own arm; ``urdf_text`` and ``capsules_text`` are the bytes of its files.
+    """The user's own arm.
 
-    ``files`` lists the paths on this machine of the URDF, the capsules and, if there is one, the arm's file.
-    Meshes are found from the URDF's path.
+    ``urdf_text`` and ``capsules_text`` are the bytes of its files. ``files`` lists the paths of the URDF and
+    of the capsules on this machine. If the arm has a file, its path is also listed. Meshes are found relative
+    to the URDF's path.
     """
 
     urdf: str | None = key("urdf", _FILE, "the arm's description; or `package`", "panda.urdf", default=None)
@@ -352,11 +378,11 @@ class OwnRobot:
 
     @property
     def texts(self) -> dict[str, bytes]:
-        """The contents of its files by their SHA-256."""
+        """The contents of the arm's files, with their SHA-256 as keys."""
         return {str(self.urdf_sha256): self.urdf_text, str(self.capsules_sha256): self.capsules_text}
 
     def named(self, name: Callable[[str], str]) -> OwnRobot:
-        """Return this arm with its files renamed by ``name``."""
+        """Return this arm after renaming its files by ``name``."""
         urdf = None if self.urdf is None else name(self.urdf)
         return replace(self, urdf=urdf, capsules=name(self.capsules))
 
@@ -367,7 +393,10 @@ _MOUNTED = {key.attribute: key for key in _OWN.keys}
 
 @declared
 class EquippedArm:
-    """An arm of the package with a seat, a tool or a part; its braking data come from the settings."""
+    """An arm of the package with a seat, a tool or a part.
+
+    The braking data of such an arm come from the settings.
+    """
 
     arm: Robot = keyed(Key("arm", Word(Robot), "an arm of the package"))
     seat: Seat | None = keyed(_MOUNTED["seat"], default=None)
@@ -386,7 +415,10 @@ AnyRobot = Robot | OwnRobot | EquippedArm
 
 
 def robot_seen_from(folder: Path, text: str, standing_in: Path) -> str:
-    """Return the robot's file ``text`` as a file in ``folder`` has to write it; a name stays as it is."""
+    """Return the robot's file ``text`` in the form that a file in ``folder`` needs.
+
+    A name is unchanged.
+    """
     return seen_from(folder, text, standing_in) if text.endswith(_ENDINGS) else text
 
 
@@ -404,14 +436,20 @@ ROBOT = replace(_OWN, keys=(_ARM, *_BESIDE))
 
 
 class _RobotValue(Below):
-    """The value of the key ``robot``: a name, a file with an own arm's keys, or a mapping of these keys."""
+    """The value of the key ``robot``.
+
+    It is a name, a file that contains the keys of a user's own arm, or a mapping with these keys.
+    """
 
     def read(self, field: Field) -> Field:
-        """Return the field itself, because ``read_robot`` reads it, with the texts that a trace carries."""
+        """Return the field itself.
+
+        Later, ``read_robot`` reads the field together with the texts that a trace carries.
+        """
         return field
 
     def write(self, value: object) -> Any:
-        """Return the name of an arm, or the mapping of an own or an equipped arm."""
+        """Return the name of an arm of the package, or the mapping of any other arm."""
         if isinstance(value, Robot):
             return value.value
         return (_EQUIPPED if isinstance(value, EquippedArm) else _OWN).write(value)
@@ -428,8 +466,9 @@ def read_robot(field: Field | Robot, carried: Mapping[str, bytes]) -> AnyRobot:
     """Return the arm that a field describes.
 
     Args:
-        field: The name of an arm, a file, or a mapping.  A Robot is the default, returned unchanged.
-        carried: Texts of files by their SHA-256, which replace the files.
+        field: The name of an arm, a file, or a mapping. A value of type Robot is the default, and the
+            function returns it unchanged.
+        carried: The texts of files, with their SHA-256 as keys. These texts replace the files.
 
     """
     if isinstance(field, Robot):  # the default
@@ -462,24 +501,30 @@ def read_robot(field: Field | Robot, carried: Mapping[str, bytes]) -> AnyRobot:
 
 
 def _equipped(field: Field) -> Robot | EquippedArm:
-    """Return an arm of the package with its equipment, or the arm alone if it has no equipment."""
+    """Return an arm of the package with its equipment, or only the arm if it has no equipment."""
     given = field.fields(_EQUIPPED.names, hints={"braking": "settings: {braking: ...}"})
     arm: EquippedArm = _EQUIPPED.made_of(given)
     return arm if arm.seat or arm.tool or arm.part else arm.arm
 
 
 def robot_named(text: str) -> AnyRobot:
-    """Return the arm whose name or file in the working directory is ``text``; ScenarioError if neither."""
+    """Return the arm with the name ``text``, or the arm in the file ``text`` of the working directory.
+
+    Raise ScenarioError if there is no such arm.
+    """
     return read_robot(Field(Scalar(text, 1), None, path="FILE", line=1), {})
 
 
 def is_arm_file(text: str) -> bool:
-    """Return whether a text names a file that contains the keys of an arm."""
+    """Return whether a text is the name of a file that contains the keys of an arm."""
     return text.endswith(_ENDINGS) or is_shipped(text)
 
 
 def _keys_of_file(field: Field) -> Fields:
-    """Return the keys in an arm's file; errors state their place in that file."""
+    """Return the keys in an arm's file.
+
+    Errors state the place in that file.
+    """
     file = _path(field)
     data = read_bytes(file, most=MAX_CAPSULES_BYTES, place=field.place, error=ScenarioError)
     tree = parse_tree(data.decode("utf-8", "replace"), file)
@@ -487,13 +532,13 @@ def _keys_of_file(field: Field) -> Fields:
 
 
 def _path(field: Field) -> Path:
-    """Return the path that a field names, relative to the field's file."""
+    """Return the path in a field, which is relative to the field's file."""
     text = field.sentence("the name of a file")
     return located((field.file.parent if field.file else Path()) / text, field.place)
 
 
 def _named_from(whole: Field, field: Field) -> str:
-    """Return the file that ``field`` names, as the scenario's own file has to name it."""
+    """Return the file name in ``field``, rewritten relative to the scenario's own file."""
     text = field.sentence("the name of a file")
     if field.file == whole.file:
         return text
@@ -502,7 +547,11 @@ def _named_from(whole: Field, field: Field) -> str:
 
 
 def _urdf(given: Fields, carried: Mapping[str, bytes]) -> Path:
-    """Return the path of the package's URDF, or the arm's own; it need not exist if its text is carried."""
+    """Return the path of the user's URDF.
+
+    The URDF is in an installed package or is given by its own path. The file need not exist if a trace
+    carries its text.
+    """
     if "package" not in given:
         return _path(given.required("urdf"))
     package = given.required("package")
@@ -512,6 +561,7 @@ def _urdf(given: Fields, carried: Mapping[str, bytes]) -> Path:
         return urdf_of_package(text, package.place)
     except ScenarioError:
         if digest and _sha256(digest) in carried:
+            # The trace carries the text, so the package is not necessary; the path is only a name.
             return Path(text)
         if "urdf" in given:
             return _path(given.required("urdf"))
@@ -519,7 +569,10 @@ def _urdf(given: Fields, carried: Mapping[str, bytes]) -> Path:
 
 
 def _text(given: Fields, name: str, file: Path, most: int, carried: Mapping[str, bytes]) -> bytes:
-    """Return the carried text or the file's; ScenarioError if its SHA-256 is not the stated one."""
+    """Return the text from ``carried``, or otherwise from the file.
+
+    Raise ScenarioError if the text does not have the stated SHA-256.
+    """
     digest, field = given.optional(f"{name} sha256"), given.optional(name) or given.whole
     wanted = _sha256(digest) if digest else ""
     if wanted in carried:

@@ -1,7 +1,8 @@
-"""The JSON Schema (draft 2020-12) of scenario files, for editors, from the reference tables.
+"""Derive the JSON Schema (draft 2020-12) of scenario files from the reference tables.
 
-A schema checks less than the reader.  It ignores the bounds of values with units, contradictions between
-keys, and the content of a recording.  The reader refuses everything that the schema refuses.
+Editors use the schema to check files. A schema checks less than the reader. The schema ignores the bounds of
+values with units, contradictions between keys, and the content of a recording. The reader refuses everything
+that the schema refuses.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ _ANY_TEXT: Schema = {
 def scenario_schema() -> Schema:
     """Return the schema of every kind of scenario file: scenario, extending scenario and suite.
 
-    The schema accepts any space; only the reader checks spaces.
+    The schema accepts any space, because only the reader checks spaces.
     """
     scenario = _table(TOP, further=COMPOSED)
     required = scenario.pop("required")
@@ -55,12 +56,12 @@ def table_schema(top: KeyTable, title: str) -> Schema:
 
 
 def _name(table: KeyTable) -> str:
-    """Return the name under which the schema defines a table."""
+    """Return the name under which the schema contains the definition of a table."""
     return (f"{table.path} {table.name}" if table.path != table.name else table.name).strip()
 
 
 def _table(table: KeyTable, further: KeyTable | None = None) -> Schema:
-    """Return the schema of a table with its own keys, and with the keys of ``further``."""
+    """Return the schema of a table with its own keys and with the keys of ``further``."""
     keys = (*table.keys, *(further.keys if further else ()))
     schema: Schema = {
         "type": "object",
@@ -117,10 +118,10 @@ def _value(value: Value) -> Schema:
 
 
 def _begins(table: KeyTable, tables: tuple[KeyTable, ...]) -> Schema:
-    """Return the condition under which a mapping belongs to ``table``.
+    """Return the schema of the condition that a mapping belongs to ``table``.
 
-    The mapping has the table's first key.  It lacks the first key of every other table that also accepts this
-    key.
+    The mapping has the table's first key. The mapping lacks the first key of every other table that also
+    accepts this key.
     """
     first = table.told_by
     wider = [rival.told_by for rival in tables if first in rival.names and rival is not table]
@@ -134,7 +135,10 @@ def _pointer(name: str) -> str:
 
 
 def _quantity(value: QuantityValue) -> Schema:
-    """Return the schema of a quantity: a text, or also a number if the unit may be absent."""
+    """Return the schema of a quantity.
+
+    The quantity is a text. If the unit may be absent, a number is also allowed.
+    """
     texts: list[Schema] = [{"type": "string", "pattern": _pattern(value.dimension, value.whole)}]
     if value.dimension.bare:
         number: Schema = {"type": "integer" if value.whole else "number"}

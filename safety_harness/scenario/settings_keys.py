@@ -1,9 +1,9 @@
 """The form of the settings in a scenario file, derived from the dataclasses of the settings.
 
-Meanings and bounds are declared beside the fields, in ``settings``.  A field's key is its name in plain
-words, without the unit and the frame.  So ``Avoidance.critical_distance_m`` becomes ``avoidance: {critical
-distance: 400 mm}``.  The dimension follows from the unit at the end of the name.  The form of the value
-follows from the type of the default.
+Meanings and bounds are in the declarations of the fields, in ``settings``. The key of a field is the field's
+name in plain words, without the unit and the frame. Therefore ``Avoidance.critical_distance_m`` becomes
+``avoidance: {critical distance: 400 mm}``. The dimension follows from the unit at the end of the name. The
+form of the value follows from the type of the default.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def setting_keys(group: type[Any]) -> tuple[Key, ...]:
 
 
 def _setting_key(attribute: str, default: Any, description: Mapping[str, Any]) -> Key:
-    """Return the key of a field from its name, its default and its metadata."""
+    """Return the key of a field, determined by its name, its default and its metadata."""
     dimension = next(unit for unit in _BY_SUFFIX if attribute.endswith(unit.suffix))
     name = attribute.removesuffix(dimension.suffix).replace("_", " ")
     for frame in _FRAMES:
@@ -85,7 +85,10 @@ def _setting_key(attribute: str, default: Any, description: Mapping[str, Any]) -
 
 
 def _value(default: Any, number: QuantityValue) -> Value:
-    """Return the kind of value that the default has; ``number`` is the kind of a single number."""
+    """Return the kind of value of a setting with the default ``default``.
+
+    ``number`` is the kind of a single number.
+    """
     if isinstance(default, DecisionCost):
         return Text(kind=FORM, or_mapping=True, reads=read_decision_time, writes=write_decision_time)
     if isinstance(default, Enum):
@@ -114,7 +117,7 @@ _KEYS: dict[type[Any], tuple[Key, ...]] = {
 
 
 def read_group(field: Field, name: str) -> Any:
-    """Return the default group ``name`` of the settings, changed by the mapping ``field``."""
+    """Return the group ``name`` of the default settings, changed by the values in ``field``."""
     default = getattr(DEFAULTS, name)
     keys = setting_keys(type(default))
     given = field.fields(tuple(dict.fromkeys(key.path[0] for key in keys)), hints=_MOVED)
@@ -131,7 +134,10 @@ def read_group(field: Field, name: str) -> Any:
 
 
 def group_table(group: str, path: str) -> KeyTable:
-    """Return the table of one group of settings; ``path`` names its mappings from the top of a file."""
+    """Return the table of one group of settings.
+
+    ``path`` is the path of the group's mappings from the top of a file.
+    """
     keys: dict[str, Key] = {}
     inner: dict[str, list[Key]] = {}
     for setting in setting_keys(type(getattr(DEFAULTS, group.replace(" ", "_")))):

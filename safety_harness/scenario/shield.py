@@ -22,7 +22,10 @@ class ShieldKind(Enum):
 
 @declared
 class Shield:
-    """The assumptions of the shield, for which the user is responsible, because the harness checks none."""
+    """The assumptions of the shield.
+
+    The user is responsible for these assumptions, because the harness does not check them.
+    """
 
     kind: ShieldKind = keyed(
         Key("kind", Word(ShieldKind), "what stands behind the controller ([shield](explanation/shield.md))"),
@@ -73,7 +76,11 @@ SHIELD = table_of(Shield, "shield", path="shield")
 
 
 class _ShieldValue(Below):
-    """The value of the key ``shield``: a kind of shield with defaults, or a mapping of its assumptions."""
+    """The value of the key ``shield``.
+
+    It is the name of a kind of shield, which has default assumptions, or a mapping that states the
+    assumptions.
+    """
 
     def read(self, field: Field) -> Shield:
         """Return the shield that the field describes."""

@@ -1,7 +1,7 @@
-"""JSON of unknown origin as a dataclass, checked by msgspec.
+"""Turn JSON of unknown origin into a dataclass that msgspec has checked.
 
-Conversion is never silent.  A text or a boolean is not accepted as a number.  Only an integer may replace a
-float, and no number may be NaN or infinite.  Types declare their bounds: ``Annotated[float, Meta(gt=0)]``.
+A conversion is never silent. A text or a boolean is not accepted as a number. An integer is accepted as a
+float, and no number may be NaN or infinite. Types declare their bounds: ``Annotated[float, Meta(gt=0)]``.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def read_json(
         path: The file.
         noun: The expected content, for errors.
         most: The largest size, in bytes.
-        error: The type of the error for a file that is absent, too large or no JSON.
+        error: The type of the error for a file that is absent, too large or not JSON.
 
     """
     refuse_other_kind(path, *JSON, error=error, expected=f"{noun}, in JSON")
@@ -42,7 +42,10 @@ def read_json(
 
 
 def parsed(text: str | bytes, file: Path, noun: str, error: type[InputError] = InputError) -> Any:
-    """Return the content of a JSON text; otherwise raise ``error``, which expects ``noun`` in ``file``."""
+    """Return the content of a JSON text.
+
+    If the text is invalid, raise ``error``, which states that ``noun`` was expected in ``file``.
+    """
     try:
         return msgspec.json.decode(text)
     except (ValueError, RecursionError) as reason:
@@ -50,7 +53,10 @@ def parsed(text: str | bytes, file: Path, noun: str, error: type[InputError] = I
 
 
 def of_format(document: Any, form: str, file: Path, error: type[InputError] = InputError) -> dict[str, Any]:
-    """Return ``document`` if it is an object of the format ``form``; otherwise raise ``error``."""
+    """Return ``document`` if it is an object of the format ``form``.
+
+    Otherwise raise ``error``.
+    """
     if not isinstance(document, dict):
         expected = f"a JSON object of the format {form!r}"
         raise error(place=Place(file=file), expected=expected, got=type(document).__name__)
@@ -79,8 +85,9 @@ def typed(
         kind: The type; an object must have all fields of its dataclass.
         file: The file, for errors.
         where: The path to the data in the file.
-        further_fields: Whether objects may have further fields, and lack fields with a default.
-        defaults: Whether objects may lack fields with a default.
+        further_fields: Whether objects may have additional fields. If this is true, they may also lack fields
+            that have a default.
+        defaults: Whether objects may lack fields that have a default.
         error: The type of the error, which states the path of the first wrong field.
 
     """
@@ -107,7 +114,10 @@ def typed(
 
 
 def _other_fields(data: Any, made: Any, path: str, defaults: bool) -> Iterator[tuple[str, str, str]]:
-    """Yield path, expectation and content of each field that ``made`` does not know or ``data`` lacks."""
+    """Yield a tuple for each field in ``data`` that is unexpected or missing.
+
+    The tuple contains the path, the expectation and the content. The expected fields are those of ``made``.
+    """
     if is_dataclass(made):
         known = [column.name for column in fields(made)]
         for name in sorted(data.keys() ^ set(known)):
@@ -124,7 +134,10 @@ def _other_fields(data: Any, made: Any, path: str, defaults: bool) -> Iterator[t
 
 
 def _value_at(data: Any, path: str) -> Any:
-    """Return the value at a path of msgspec; a "[...]", which is a key of the file, ends the search."""
+    """Return the value at a path in msgspec's notation.
+
+    The search ends at "[...]", which stands for a key of the file.
+    """
     for name, index in re.findall(r"([^.\[\]]+)|\[(\d+)\]", path):
         try:
             data = data[int(index)] if index else data[name]
@@ -134,22 +147,26 @@ def _value_at(data: Any, path: str) -> Any:
 
 
 def _short(value: Any) -> str:
-    """Return a value as text, at most 80 characters."""
+    """Return a value as text with at most 80 characters."""
     text = repr(value)
     return text if len(text) <= 80 else text[:77] + "..."
 
 
 def plain(value: Any) -> Any:
-    """Return ``value`` in JSON's types; dataclasses become objects, and enumerations become their values.
+    """Return ``value`` in JSON's types.
 
-    NumPy's numbers become Python's; dates and times remain for ``json.dumps``.
+    Dataclasses become objects, and enumerations become their values. NumPy's numbers become Python's numbers,
+    and dates and times become texts in the form of ISO 8601.
     """
     own = asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
     return msgspec.to_builtins(own, enc_hook=_number)
 
 
 def _number(value: Any) -> float:
-    """Return a NumPy number as a float; TypeError for another type."""
+    """Return a NumPy number as a float.
+
+    Raise TypeError for any other type.
+    """
     if not isinstance(value, float):
         raise TypeError(f"no place in JSON for {type(value).__name__}")
     return float(value)

@@ -1,7 +1,7 @@
-"""Quantities as people write them, ``80 mm`` or ``0.5 m/s``, converted to SI with a single rounding.
+"""Convert quantities such as ``80 mm`` or ``0.5 m/s`` to SI, with a single rounding.
 
-The SI value is the float nearest to the written decimal quantity, so ``80 mm`` becomes the literal ``0.08``.
-Degrees are the exception: ``math.radians`` converts them, because pi is no fraction.
+The SI value is the float that is nearest to the written quantity, so ``80 mm`` becomes the literal ``0.08``.
+Degrees are the exception: ``math.radians`` converts them, because pi is not a fraction.
 """
 
 from __future__ import annotations
@@ -27,11 +27,12 @@ _Factor = Fraction | None  # None: degrees, by math.radians
 
 @dataclass(frozen=True, eq=False)
 class Dimension:
-    """A kind of quantity, with its units and their factors to SI.
+    """A kind of quantity, with its units and the factors from these units to SI.
 
-    The name and the example serve messages.  The name of a settings field of that kind ends in ``suffix``.
-    Its value lies from ``least`` to ``most``, in SI, unless the field has its own bounds.  ``bare`` allows a
-    number without a unit, as for plain numbers, and for fractions besides ``%``.
+    Messages use the name and the example. The name of a settings field of this dimension ends in ``suffix``.
+    The field's value lies from ``least`` to ``most``, in SI, unless the field has its own bounds. ``bare``
+    allows a number without a unit. ``bare`` is True for plain numbers and for fractions. A fraction may also
+    have the unit ``%``.
     """
 
     name: str
@@ -45,26 +46,34 @@ class Dimension:
 
     @property
     def expected(self) -> str:
-        """The completion of the sentence "expected ..."."""
+        """The words that complete the sentence "expected ..."."""
         article = "an" if self.name[0] in "aeiou" else "a"
         return f"{article} {self.name} such as {self.example}"
 
     @property
     def most_of_limits(self) -> float:
-        """The largest sensible limit of a claim in SI; a time may be as long as a run."""
+        """The largest sensible limit of a claim in SI.
+
+        A limit on time may be as long as a run.
+        """
         return max(self.most, {"time": 3600.0, "number": 100.0}.get(self.name, 0.0))
 
 
 def _powers(scale: Mapping[str, _Factor], suffix: str = "") -> dict[str, _Factor]:
-    """Return the units of ``scale`` with ``suffix`` added to their names and unchanged factors."""
+    """Return the units of ``scale`` with ``suffix`` appended to their names.
+
+    The factors are unchanged.
+    """
     return {unit + suffix: factor for unit, factor in scale.items()}
 
 
+# The factors are exact, so that a product is rounded only once.
 _METRES: dict[str, _Factor] = {"m": Fraction(1), "cm": Fraction(1, 100), "mm": Fraction(1, 1000)}
 _RADIANS: dict[str, _Factor] = {"rad": Fraction(1), "mrad": Fraction(1, 1000), "deg": None}
 _SECONDS: dict[str, _Factor] = {"s": Fraction(1), "ms": Fraction(1, 1000), "min": Fraction(60)}
 _PIXELS: dict[str, _Factor] = {"px": Fraction(1)}
 
+# The last two numbers bound a field of the settings, in SI: beyond them, probably another unit is meant.
 NUMBER = Dimension("number", "0.4", "", {}, "", 1e-6, 10.0, bare=True)
 FRACTION = Dimension(
     "fraction", "5 % or 0.05", "", {"%": Fraction(1, 100)}, "_probability", 0.0, 1.0, bare=True
@@ -98,7 +107,10 @@ DIMENSIONS = tuple(item for item in tuple(globals().values()) if isinstance(item
 
 
 def parse_quantity(text: str, dimension: Dimension, place: Place) -> float:
-    """Return the SI value of ``text``; ScenarioError at ``place`` unless it is a finite quantity."""
+    """Return the SI value of ``text``.
+
+    Raise ScenarioError at ``place`` unless ``text`` is a finite quantity.
+    """
     value = _understood(text, dimension)
     if isinstance(value, dict):
         raise ScenarioError(place=place, **value)
@@ -107,7 +119,10 @@ def parse_quantity(text: str, dimension: Dimension, place: Place) -> float:
 
 @lru_cache(maxsize=4096)  # the scenarios of a space repeat most of their quantities
 def _understood(text: str, dimension: Dimension) -> float | dict[str, str]:
-    """Return the SI value of ``text``, or the parts of an error message if it has none."""
+    """Return the SI value of ``text``.
+
+    If there is no such value, return the parts of an error message.
+    """
     stripped = text.strip()
     matched = _NUMBER.match(stripped)
     if matched is None:
@@ -126,16 +141,20 @@ def _understood(text: str, dimension: Dimension) -> float | dict[str, str]:
 
 
 def format_quantity(value: float, dimension: Dimension) -> str:
-    """Return ``value`` in its SI unit, so that ``parse_quantity`` returns the same float."""
+    """Return ``value`` in its SI unit as text, from which ``parse_quantity`` returns the same float."""
     number = repr(float(value))
     return f"{number} {dimension.si}" if dimension.si else number
 
 
 def nice(value: float, dimension: Dimension) -> str:
-    """Return ``value`` in the unit that people would choose, as a text that reads back to the same float."""
+    """Return ``value`` as text in the unit that people would choose.
+
+    The text is converted back to exactly the same float.
+    """
     if not dimension.units:
         return _digits(value)
     units = [unit for unit in dimension.units if not unit.startswith(_RARE)]
+    # Among angles, degrees come first.
     units.sort(key=lambda unit: unit != "deg")
     written = [f"{_digits(_in_unit(value, dimension.units[unit]))} {unit}" for unit in units]
     exact = [text for text in written if parse_quantity(text, dimension, Place()) == value]
@@ -146,7 +165,10 @@ def nice(value: float, dimension: Dimension) -> str:
 
 
 def _in_unit(value: float, factor: Fraction | None) -> float:
-    """Return an SI value in the unit with ``factor``; None means degrees."""
+    """Return an SI value converted to the unit with the factor ``factor``.
+
+    A factor of None stands for degrees.
+    """
     return math.degrees(value) if factor is None else float(Fraction(value) / factor)
 
 
@@ -162,7 +184,7 @@ def normal_unit(unit: str) -> str:
 
 
 def shown(text: str) -> str:
-    """Return ``text`` for a message: on one line, at most 80 characters."""
+    """Return ``text`` for a message, on one line and with at most 80 characters."""
     printable = "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in " ".join(text.split()))
     if not printable:
         return "nothing"
@@ -170,7 +192,7 @@ def shown(text: str) -> str:
 
 
 def _units_hint(unit: str, dimension: Dimension) -> str:
-    """Return a hint that lists the allowed units, and names the one that resembles ``unit``."""
+    """Return a hint that lists the allowed units, and that suggests the unit that resembles ``unit``."""
     if not dimension.units:
         return "a number without a unit"
     if re.search(r"to[+-]?\.?[0-9]", unit):
@@ -179,7 +201,10 @@ def _units_hint(unit: str, dimension: Dimension) -> str:
 
 
 def _si_value(number: str, factor: _Factor) -> float | None:
-    """Return ``number`` times ``factor``, rounded once; None if the result is not finite."""
+    """Return the product of ``number`` and ``factor``, rounded once.
+
+    The result is None if the product is not finite.
+    """
     exponent = number.lower().partition("e")[2]
     # The exponent is checked before anything is computed, because 10**1000000000 would not end.
     if len(number) > _LONGEST_NUMBER or (exponent and abs(int(exponent)) > _LARGEST_EXPONENT):

@@ -1,4 +1,7 @@
-"""URDFs of installed packages: ``pybullet/kuka_iiwa/model`` names a file wherever pybullet is installed."""
+"""Find URDFs in installed packages.
+
+For example, ``pybullet/kuka_iiwa/model`` leads to a file wherever pybullet is installed.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +15,16 @@ EXTRAS = {"example-robot-data": "arms", "pybullet": "pybullet"}
 
 
 def urdf_of_package(text: str, place: Place) -> Path:
-    """Return the file that ``text``, DISTRIBUTION/NAME, names: the only URDF whose path ends with NAME.
+    """Return the URDF for ``text``, DISTRIBUTION/NAME.
+
+    The distribution must have exactly one URDF whose path ends with NAME.
 
     Args:
-        text: DISTRIBUTION/NAME; NAME lacks ``.urdf`` and has enough folders to be unique.
+        text: DISTRIBUTION/NAME, where NAME needs no suffix ``.urdf`` and has enough folders to be unique.
         place: The place of the text, for errors.
 
     Raises:
-        ScenarioError: The distribution is not installed, or NAME fits no URDF or several.
+        ScenarioError: The distribution is not installed, or NAME does not match exactly one URDF.
 
     """
     name, _, end = text.removesuffix(".urdf").partition("/")
@@ -44,7 +49,10 @@ def urdf_of_package(text: str, place: Place) -> Path:
 
 @lru_cache
 def _urdfs_of(distribution_name: str) -> dict[str, Path]:
-    """Return a distribution's URDF files by path without ``.urdf``; PackageNotFoundError if it is absent."""
+    """Return a distribution's URDF files, with their paths without ``.urdf`` as keys.
+
+    Raise PackageNotFoundError if the distribution is not installed.
+    """
     files = distribution(distribution_name).files or ()
     urdfs = [file for file in files if file.suffix == ".urdf"]
     return {file.as_posix().removesuffix(".urdf"): Path(str(file.locate())).resolve() for file in urdfs}

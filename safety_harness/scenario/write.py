@@ -1,4 +1,4 @@
-"""Scenarios as text in SI units with exact numbers, from which the reader returns the same scenario."""
+"""Write scenarios as text in SI units, with exact numbers, so that the reader returns the same scenario."""
 
 from __future__ import annotations
 
@@ -22,12 +22,14 @@ _LAST = ("speed at most", "from", "to", "elbow track", "elbow towards")
 
 
 def write_scenario(scenario: Scenario, *, all_settings: bool = False) -> str:
-    """Return YAML text from which ``parse_scenario`` returns the scenario, except its name and places.
+    """Return a YAML text of the scenario.
+
+    ``parse_scenario`` converts the text back to the same scenario, except for its name and its places.
 
     Args:
         scenario: The scenario.
-        all_settings: Whether to write every setting, for a text that must outlive a change of the defaults;
-            otherwise only settings that differ from the defaults.
+        all_settings: Whether to write every setting, so that a later change of the defaults does not affect
+            the text. If this is false, only settings that differ from the defaults are written.
 
     """
     refuse_other_type("write_scenario(scenario)", scenario, Scenario)
@@ -35,7 +37,10 @@ def write_scenario(scenario: Scenario, *, all_settings: bool = False) -> str:
 
 
 def tree_of(scenario: Scenario, *, all_settings: bool = False) -> dict[str, Tree]:
-    """Return what ``write_scenario`` writes, by key: texts, mappings and lists of mappings."""
+    """Return the data that ``write_scenario`` writes, by key.
+
+    The values are texts, mappings and lists of mappings.
+    """
     tree = TOP.write(scenario)
     for key in ("about", "obstacles", "avoider", "extensions"):
         if not getattr(scenario, key):
@@ -63,7 +68,10 @@ def text_of(tree: Tree) -> str:
 
 
 def node_of(tree: Tree) -> Node:
-    """Return the tree that ``parse_tree`` reads from ``text_of(tree)``, with all lines 1 and no file."""
+    """Return the tree that ``parse_tree`` reads from ``text_of(tree)``.
+
+    All parts of the tree have line 1 and no file.
+    """
     if isinstance(tree, str):
         return Scalar(plain_text(tree), 1)
     if isinstance(tree, Mapping):
@@ -73,7 +81,10 @@ def node_of(tree: Tree) -> Node:
 
 
 def _hand(hand: HandTrajectory) -> dict[str, Tree]:
-    """Return the tree of a hand; some keys of a recorded hand move to its end."""
+    """Return the tree of a hand.
+
+    For a recorded hand, some keys move to the end.
+    """
     tree = HAND.write(hand)
     if isinstance(hand, RecordedHand):
         tree |= {key: tree.pop(key) for key in _LAST if key in tree}
@@ -81,7 +92,10 @@ def _hand(hand: HandTrajectory) -> dict[str, Tree]:
 
 
 def _settings(settings: Settings, default: Settings | None) -> dict[str, Tree]:
-    """Return the changed settings: groups at the top of the file, and the other groups below ``settings``."""
+    """Return the changed settings.
+
+    Some groups are at the top of the file, and the other groups are below ``settings``.
+    """
 
     def changed(groups: Mapping[str, str]) -> dict[str, Tree]:
         pairs = ((key, getattr(settings, name), getattr(default, name, None)) for key, name in groups.items())
@@ -92,7 +106,10 @@ def _settings(settings: Settings, default: Settings | None) -> dict[str, Tree]:
 
 
 def _group(group: object, default: object) -> dict[str, Tree]:
-    """Return the values of ``group`` that differ from ``default``, in SI and exact; None: all values."""
+    """Return the values of ``group`` that differ from ``default``, as exact numbers in SI.
+
+    If ``default`` is None, return all values.
+    """
     written: dict[str, Any] = {}
     for key in setting_keys(type(group)):
         value = getattr(group, key.attribute)

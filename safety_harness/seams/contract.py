@@ -1,9 +1,9 @@
 """The contract of a user's controller: what it sees, what it may do and what it may report.
 
-A controller's ``sees`` lists words of ``SIGHTS``. The harness provides the fields of these words and no
-others. They hold sensor data that has already arrived, with noise, delay and missed detections. The
-simulator's truth stays hidden. All quantities are SI. ``_in_base_`` means the robot's base frame. A twist (v,
-w) is that of the TCP, in the base frame.
+A controller's attribute ``sees`` lists words of ``SIGHTS``. The harness provides only the fields of these
+words. The fields contain sensor data that have already arrived, with noise, delay and missed detections. The
+controller cannot see the true values in the simulator. All quantities are SI. ``_in_base_`` in a name refers
+to the robot's base frame. A twist (v, w) is the velocity of the TCP, expressed in the base frame.
 """
 
 from __future__ import annotations
@@ -24,7 +24,10 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SightWord:
-    """A word of a vocabulary, the fields that it stands for, and its meaning."""
+    """A word of ``SIGHTS`` or ``REPORTS``.
+
+    ``fields`` lists the fields that belong to the word.
+    """
 
     word: str
     fields: tuple[str, ...]
@@ -65,9 +68,10 @@ REPORTS = (
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SeenHand:
-    """A hand as the sensor measured it: the centre of a sphere with the radius that the filter assumes.
+    """A hand as measured by the sensor.
 
-    ``position_in_base_m`` (3,) is computed with the sensor's pose at the time when the frame arrived.
+    ``position_in_base_m`` (3,) is the centre of a sphere whose radius is the hand radius that the filter
+    assumes. The position is computed with the sensor's pose at the time when the frame arrived.
     """
 
     position_in_base_m: Floats
@@ -75,11 +79,12 @@ class SeenHand:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class HandBoxes:
-    """The last frame of the hand sensor, as boxes in its image.
+    """The last frame of the hand sensor, as bounding boxes in the sensor's image.
 
-    ``time_s`` is the time of exposure, NaN before the first frame. ``new`` is true if the frame arrived at
-    this tick. The columns of ``boxes`` (n, 5): u, v of the centre [px], depth of the surface there [m], area
-    [px^2], width divided by height. ``transform_sensor_to_base`` (4, 4) is the sensor's present pose.
+    ``time_s`` is the time of exposure, or NaN before the first frame. ``new`` is true if the frame arrived at
+    this tick. Each row of ``boxes`` (n, 5) contains the box centre u, v [px], the depth of the surface there
+    [m], the area [px^2], and the width divided by the height. ``transform_sensor_to_base`` (4, 4) is the
+    sensor's present pose.
     """
 
     time_s: float
@@ -90,11 +95,11 @@ class HandBoxes:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PredictedHand:
-    """A tracked hand, predicted to the time of this tick plus the prediction horizon of the settings.
+    """A tracked hand, predicted for the time of this tick plus the prediction horizon of the settings.
 
-    The Kalman filter computes ``position_in_base_m`` (3,), ``velocity_in_base_mps`` (3,) and the
-    ``covariance`` (6, 6) of both, with the sensor's present pose. ``number`` stays the same as long as the
-    filter tracks the hand.
+    The Kalman filter computes ``position_in_base_m`` (3,), ``velocity_in_base_mps`` (3,) and their joint
+    ``covariance`` (6, 6), using the sensor's present pose. ``number`` does not change while the filter tracks
+    the same hand.
     """
 
     position_in_base_m: Floats
@@ -110,7 +115,7 @@ class SeenObject:
 
     ``new`` is true if the image arrived at this tick. ``features`` (6,) are x_n, y_n, a_n [m], gamma, delta
     [-], alpha [rad] (eqs. 3 to 5). ``feature_error`` (6,) is f - f*, the difference from the desired
-    features. Both are NaN unless the object is ``visible``.
+    features. If the object is not ``visible``, these two arrays are NaN.
     """
 
     visible: bool
@@ -124,7 +129,7 @@ class Image:
     """The last image of the object's camera.
 
     ``new`` is true if the image arrived at this tick. ``pixels`` (height, width, 3) are uint8 in the order
-    red, green, blue; they are black before the first image. ``time_s`` is the time of exposure, NaN before
+    red, green, blue, and are black before the first image. ``time_s`` is the time of exposure, or NaN before
     the first image.
     """
 
@@ -135,9 +140,10 @@ class Image:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class WantedCommand:
-    """The command that the controller wants at this tick, within the limits.
+    """The command that the controller wants at this tick, already limited by the harness.
 
-    ``joint_velocity_radps`` (n,) are the joints' speeds. If ``stop``, the controller wants a protective stop.
+    ``joint_velocity_radps`` (n,) are the joints' speeds. If ``stop`` is true, the controller wants a
+    protective stop.
     """
 
     joint_velocity_radps: Floats
@@ -145,7 +151,7 @@ class WantedCommand:
 
     @property
     def action(self) -> Action:
-        """The action that leaves the command as it is."""
+        """The action that leaves this command unchanged."""
         return Stop() if self.stop else Move(joint_velocity_radps=self.joint_velocity_radps)
 
 
@@ -155,10 +161,10 @@ class UnseenError(ControllerError, AttributeError):
 
 @dataclass(frozen=True, eq=False, init=False)
 class Seen:
-    """A controller's view at a tick: time, period and the fields of its ``sees``, all read-only.
+    """A controller's view at a tick: the time, the period and the fields listed in ``sees``, all read-only.
 
-    Any other field raises UnseenError, which names the word missing in ``sees``. The word "joints" provides
-    ``joint_position_rad`` (n,), ``joint_velocity_radps`` (n,), ``transform_tcp_to_base`` (4, 4) and
+    Access to any other field raises UnseenError, which states the word that ``sees`` lacks. The word "joints"
+    provides ``joint_position_rad`` (n,), ``joint_velocity_radps`` (n,), ``transform_tcp_to_base`` (4, 4) and
     ``tcp_position_in_base_m`` (3,).
     """
 
@@ -182,13 +188,16 @@ class Seen:
     def of_row(
         cls, time_s: float, period_s: float, makers: Mapping[str, Callable[[Floats], Any]], row: Floats
     ) -> Seen:
-        """Return the view at a tick, in which each field is made from ``row`` when it is first read.
+        """Return the view at a tick.
+
+        A field is computed from ``row`` when the controller first reads it.
 
         Args:
             time_s: The time of the tick [s].
             period_s: The control period [s].
-            makers: For each visible field, the function that makes it from ``row``.
-            row: The numbers (k,) of ``rows.seen_dtype``, up to the last that a visible field needs.
+            makers: The function for each visible field that computes the field from ``row``.
+            row: The first k numbers (k,) of a record of ``rows.seen_dtype``, up to the last number that a
+                visible field needs.
 
         """
         seen = object.__new__(cls)
@@ -210,12 +219,13 @@ class Seen:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Decision:
-    """A decision to give way to a hand, which claims about decisions judge.
+    """A controller's decision to move away from a hand.
 
-    Positions (3,) [m] are in the base frame: of the hand to which the arm gives way, of the proposed and of
-    the chosen TCP. The chosen position is NaN for a stop. ``spread_m`` (3,) is one standard deviation along
-    each axis. ``spread_threshold_m`` is the largest spread with which the controller uses a proposal, NaN
-    without a threshold.
+    Claims about decisions judge these data. The three positions (3,) [m] are in the base frame. The positions
+    are of the hand that the arm avoids, of the proposed TCP, and of the chosen TCP. If the decision is a
+    stop, the chosen position is NaN. ``spread_m`` (3,) is the standard deviation along each axis.
+    ``spread_threshold_m`` is the largest spread at which the controller still uses a proposal, or NaN if it
+    has no threshold.
     """
 
     hand_position_in_base_m: Floats
@@ -229,7 +239,10 @@ class Decision:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Report:
-    """A controller's report about itself at a tick; claims about a missing field are inconclusive."""
+    """A controller's report about itself at a tick.
+
+    If a field is missing, claims about the field are inconclusive.
+    """
 
     mode: Mode | None = None
     decision: Decision | None = None
@@ -237,13 +250,14 @@ class Report:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Move:
-    """The action to move by the given velocities until the next tick, or to hold still without any.
+    """The action to move with the given velocities until the next tick.
 
-    ``tcp_velocity_mps`` (3,) and ``tcp_angular_velocity_radps`` (3,) are in the base frame; if only one of
-    them is given, the other is zero. The harness keeps their direction. It bounds them by the settings' TCP
-    speed and acceleration and by the joints' speeds. Near a singularity the arm stops. With
-    ``joint_velocity_radps`` (n,), if a joint exceeds its limit, the harness slows all joints by the same
-    factor. The trace records the limit that acted.
+    If no velocity is given, the arm holds still. ``tcp_velocity_mps`` (3,) and ``tcp_angular_velocity_radps``
+    (3,) are in the base frame, and either of them is zero if it is missing. The harness does not change the
+    direction of the twist. The harness limits the twist by the TCP's speed and acceleration limits in the
+    settings, and by the joints' speed limits. Near a singularity, the harness stops the arm. If
+    ``joint_velocity_radps`` (n,) is given and a joint exceeds its limit, the harness slows all joints by the
+    same factor. The trace records which limit was active.
     """
 
     tcp_velocity_mps: Floats | None = None
@@ -254,7 +268,7 @@ class Move:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Stop:
-    """The action of a protective stop: the brakes act until the controller moves the arm again."""
+    """The action of a protective stop, in which the brakes act until the controller moves the arm again."""
 
     report: Report | None = None
 
@@ -264,12 +278,13 @@ Action = Move | Stop
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class HandSet:
-    """A hand at the end of the prediction horizon, and the set that a predictor expects to hold its centre.
+    """A predicted hand, with a set that should contain its centre at the end of the prediction horizon.
 
-    ``position_in_base_m`` p (3,) is the expected centre. ``number``, 1 or more, stays the same as long as it
-    is the same hand. Exactly one of the others gives the set: a ball of ``radius_m`` around p, a box around p
-    of ``half_widths_m`` (3,) along the base's axes, or the ellipsoid of all h with (h - p)' S^-1 (h - p) <=
-    1, where ``ellipsoid_m2`` S (3, 3) is symmetric and positive definite.
+    ``position_in_base_m`` p (3,) is the expected centre. ``number`` is at least 1, and does not change while
+    the predictor refers to the same hand. Exactly one of the remaining fields describes the set: a ball of
+    ``radius_m`` around p, a box around p with ``half_widths_m`` (3,) along the base's axes, or an ellipsoid.
+    The ellipsoid contains all h with (h - p)' S^-1 (h - p) <= 1, where ``ellipsoid_m2`` S (3, 3) is symmetric
+    and positive definite.
     """
 
     position_in_base_m: Floats
@@ -281,7 +296,10 @@ class HandSet:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Predicted:
-    """The answer of a predictor at a tick: a set for each hand that it expects; without hands, none."""
+    """The answer of a predictor at a tick, with one set for each hand that it expects.
+
+    Without hands, ``hands`` is empty.
+    """
 
     hands: tuple[HandSet, ...] = ()
 
@@ -294,8 +312,9 @@ class Moves:
     """The result of ``act_many``: a ``Move`` or ``Stop`` for each of n episodes.
 
     ``tcp_velocity_mps`` (n, 3), ``tcp_angular_velocity_radps`` (n, 3) and ``joint_velocity_radps`` (n, j)
-    mean the same as in ``Move``. ``stop`` (n,) is true for an episode in which the arm stops. ``mode`` (n,)
-    is the ``Mode`` of each episode, or None if the controller does not report it.
+    have the same meaning as in ``Move``. ``stop`` (n,) is true for an episode in which the arm stops.
+    ``mode`` (n,) contains the ``Mode`` of each episode, or is None if the controller does not report its
+    mode.
     """
 
     tcp_velocity_mps: Floats | None = None
@@ -307,12 +326,12 @@ class Moves:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DrivenArm:
-    """The arm that the controller drives, with n revolute joints; its arrays are read-only.
+    """The arm that the controller drives.
 
-    ``position_lower_rad``, ``position_upper_rad`` and ``velocity_limit_radps`` have shape (n,).
-    ``joint_origins`` (n, 4, 4) map the frame of link i + 1 at q = 0 to the frame of link i. ``joint_axes``
-    (n, 3) are in the frame of the link that the joint moves. ``flange`` (4, 4) maps the TCP frame to the last
-    link's frame.
+    The arm has n revolute joints, and the arrays are read-only. ``position_lower_rad``,
+    ``position_upper_rad`` and ``velocity_limit_radps`` have shape (n,). ``joint_origins`` (n, 4, 4) map the
+    frame of link i + 1 at q = 0 to the frame of link i. ``joint_axes`` (n, 3) are in the frame of the link
+    that the joint moves. ``flange`` (4, 4) maps the TCP frame to the last link's frame.
     """
 
     name: str
@@ -327,7 +346,7 @@ class DrivenArm:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Start:
-    """The arm's pose as an episode starts: ``joint_position_rad`` (n,), ``transform_tcp_to_base`` (4, 4)."""
+    """The arm's pose at the start: ``joint_position_rad`` (n,) and ``transform_tcp_to_base`` (4, 4)."""
 
     joint_position_rad: Floats
     transform_tcp_to_base: Floats
@@ -337,18 +356,18 @@ class Start:
 class UserController(Protocol):
     """The methods and attributes of a user's own controller.
 
-    An optional ``reports`` lists words of ``REPORTS``, the fields that the controller fills in the ``report``
-    of its actions. If the controller raises an exception or returns something other than an action, the
-    episode fails for that reason.
+    An optional attribute ``reports`` lists words of ``REPORTS``, whose fields the controller fills in the
+    ``report`` of its actions. If the controller raises an exception or does not return an action, the episode
+    fails and states this reason.
 
-    An optional ``acts_per_answer`` states for how many calls of ``act`` an answer lasts, as for a policy that
-    answers in chunks. If the scenario has a decision time, only the first of these calls costs time, and the
-    others get its view again.
+    An optional attribute ``acts_per_answer`` is the number of calls of ``act`` for which one answer lasts,
+    for example if a policy answers in chunks. If the scenario states a decision time, only the first of these
+    calls takes that time, and the later calls get the same view as the first.
 
-    Its class may have ``act_many(controllers, seen)``, so that many episodes run side by side, in lanes. This
-    function returns the ``Moves`` of n episodes at once, with the same bits as ``act`` of each controller.
-    ``seen`` holds the arrays of ``arrays.observed`` for the words in ``sees``, n rows each, ``time_s`` (n,)
-    and ``period_s``.
+    The class may also have a function ``act_many(controllers, seen)``, with which many episodes run side by
+    side in lanes. This function returns the ``Moves`` of n episodes at once, which must equal the results of
+    ``act`` bit for bit. ``seen`` contains the arrays of ``arrays.observed`` for the words in ``sees``, each
+    with n rows, and also ``time_s`` (n,) and ``period_s``.
     """
 
     @property
@@ -358,11 +377,11 @@ class UserController(Protocol):
 
     @property
     def sees(self) -> tuple[str, ...]:
-        """The sights that the controller needs, as words of ``SIGHTS``."""
+        """The quantities that the controller needs, as words of ``SIGHTS``."""
         ...
 
     def reset(self, *, settings: Settings, arm: DrivenArm, start: Start, seed: int) -> None:
-        """Begin an episode, and forget the previous one.
+        """Begin an episode, and forget the previous episode.
 
         Args:
             settings: The settings of the run.
@@ -374,10 +393,10 @@ class UserController(Protocol):
         ...
 
     def act(self, seen: Seen) -> Answer:
-        """Return the action that lasts until the next tick, or as a predictor the predicted hands.
+        """Return the action until the next tick, or, if the object is a predictor, the predicted hands.
 
         Args:
-            seen: The fields of this tick that ``sees`` lists.
+            seen: The view at this tick, with the fields that ``sees`` lists.
 
         """
         ...
@@ -385,13 +404,16 @@ class UserController(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class ControllerOpener:
-    """How a package opens a controller for ``controller: NAME:REST``, where NAME is its entry point.
+    """A package's function that opens a controller for ``controller: NAME:REST``.
+
+    NAME is the name of the package's entry point.
 
     Args:
-        open: Returns a fresh controller for a whole reference, in this process or connected to another
-            process. If it raises an exception, the scenario is refused.
-        sha256: Returns the hash of the code behind the reference, for traces and evidence. None: no hash is
-            recorded.
+        open: A function that returns a new controller for a complete reference. The controller may run in
+            this process or be connected to another process. If it raises an exception, the scenario is
+            refused.
+        sha256: A function that returns the hash of the code behind the reference, for traces and evidence.
+            None means that no hash is recorded.
 
     """
 
@@ -400,15 +422,18 @@ class ControllerOpener:
 
 
 def sees_of(controller: UserController, sights: tuple[SightWord, ...] = FILTER_SIGHTS) -> tuple[str, ...]:
-    """Return the controller's ``sees`` in the order of ``sights``; ControllerError if a word is unknown."""
+    """Return the controller's ``sees`` in the order of ``sights``.
+
+    Raise ControllerError if a word is unknown.
+    """
     return _words_of(controller, "sees", getattr(controller, "sees", None), sights)
 
 
 def reports_of(controller: UserController) -> tuple[str, ...]:
     """Return the controller's ``reports`` in the order of ``REPORTS``.
 
-    Raise ControllerError if a word is unknown, or if the controller declares a ``decision_time_s``, because
-    the scenario states it.
+    Raise ControllerError if a word is unknown. Also raise this error if the controller declares
+    ``decision_time_s``, because only the scenario may state the decision time.
     """
     if getattr(controller, "decision_time_s", None):
         raise ControllerError(
@@ -422,7 +447,10 @@ def reports_of(controller: UserController) -> tuple[str, ...]:
 
 
 def acts_per_answer_of(controller: UserController) -> int:
-    """Return the controller's ``acts_per_answer``, or 1; ControllerError if it is no positive integer."""
+    """Return the controller's ``acts_per_answer``, or 1 if it has no such attribute.
+
+    Raise ControllerError if the value is not a positive integer.
+    """
     count = getattr(controller, "acts_per_answer", 1)
     if not isinstance(count, int) or isinstance(count, bool) or count < 1:
         raise ControllerError(f"acts_per_answer must be a whole number of at least 1; got {count!r}")
@@ -430,7 +458,10 @@ def acts_per_answer_of(controller: UserController) -> int:
 
 
 def _words_of(controller: object, name: str, given: object, table: tuple[SightWord, ...]) -> tuple[str, ...]:
-    """Return the words of ``table`` that are in ``given``; ControllerError if ``given`` has another word."""
+    """Return the words of ``table`` that ``given`` contains.
+
+    Raise ControllerError if ``given`` contains any other word.
+    """
     known = [entry.word for entry in table]
     if isinstance(given, str) or not isinstance(given, tuple | list | set | frozenset):
         raise ControllerError(f"{name} must be a tuple of: {', '.join(known)}; got {given!r}")

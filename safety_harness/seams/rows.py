@@ -1,6 +1,7 @@
-"""The visible quantities of a tick as one row of numbers; a field is made when it is first read.
+"""All quantities that a controller may see at a tick, stored as one row of numbers.
 
-This module imports no compiler, because the process of a user's file also reads rows.
+A field is computed from the row when it is first read. This module imports no compiler, because the process
+of a user's file also needs it.
 """
 
 from __future__ import annotations
@@ -37,13 +38,14 @@ Maker = Callable[[Row], Any]
 
 @lru_cache
 def seen_dtype(hands: int, joints: int = SHIPPED_JOINTS) -> np.dtype[Any]:
-    """Return SEEN: the layout of all quantities that can be seen, as float64 and 8-byte int64 only.
+    """Return SEEN, the layout of a row with all quantities that a controller may see.
 
-    The fields needed most often come first. So a controller that sees only hands needs only the beginning of
-    a row.
+    The fields are only float64 and 8-byte int64. The most frequently needed fields come first. Therefore a
+    controller that only sees hands needs only the beginning of a row.
 
     Args:
-        hands: The hand slots of the scenario. The row has TRACKS_PER_HAND boxes and tracks for each.
+        hands: The number of hands for which the scenario has slots. The row has room for TRACKS_PER_HAND
+            boxes and tracks per hand.
         joints: The number of the arm's joints.
 
     """
@@ -79,10 +81,10 @@ def seen_dtype(hands: int, joints: int = SHIPPED_JOINTS) -> np.dtype[Any]:
 
 
 class SeenLayout(dict[str, Maker]):
-    """The functions that make the visible fields from a row, by the fields' names.
+    """A mapping from the names of the visible fields to the functions that compute them from a row.
 
-    ``hand_slots`` and ``joints`` are the sizes of SEEN. The first ``wanted`` numbers of a row suffice for the
-    words in ``sees``.
+    ``hand_slots`` and ``joints`` are the arguments of ``seen_dtype``. The words in ``sees`` need only the
+    first ``wanted`` numbers of a row.
     """
 
     def __init__(self, hand_slots: int, joints: int, sees: tuple[str, ...]) -> None:
@@ -96,9 +98,9 @@ PackedSeen = tuple[float, int, int, tuple[str, ...], bytes]  # period, hands, jo
 
 
 def packed_seen(seen: Seen) -> PackedSeen:
-    """Return the row of ``seen`` with its sizes, to be sent to another process.
+    """Return the row of ``seen`` and its sizes, in a form that can be sent to another process.
 
-    Raise ControllerError if the harness did not make ``seen``.
+    Raise ControllerError if ``seen`` was not created by the harness.
     """
     own = seen.__dict__
     if "_row" not in own:
@@ -108,13 +110,14 @@ def packed_seen(seen: Seen) -> PackedSeen:
 
 
 def unpacked(sent: PackedSeen) -> Seen:
-    """Return the ``Seen`` from which ``packed_seen`` made ``sent``."""
+    """Return the ``Seen`` object that ``packed_seen`` converted to ``sent``."""
     period_s, hand_slots, joints, sees, numbers = sent
     row = np.frombuffer(numbers)
     return Seen.of_row(row.item(0), period_s, layout_of(hand_slots, joints, sees), row)
 
 
 layout_of = lru_cache(maxsize=64)(SeenLayout)
+# The last field of a row that each word of ``sees`` needs.  The rest of the row is never sent.
 _LAST = {
     JOINTS: "tcp_position_in_base_m",
     HANDS: "hands",
@@ -134,7 +137,7 @@ def _part(dtype: np.dtype[Any], name: str) -> tuple[slice, tuple[int, ...]]:
 
 
 def _makers(dtype: np.dtype[Any], sees: tuple[str, ...]) -> Iterator[tuple[str, Maker]]:
-    """Yield the name of each visible field, with the function that makes the field from a row."""
+    """Yield the name of each visible field, and the function that computes the field from a row."""
 
     def array(name: str) -> Maker:
         part, shape = _part(dtype, name)
@@ -144,6 +147,7 @@ def _makers(dtype: np.dtype[Any], sees: tuple[str, ...]) -> Iterator[tuple[str, 
 
     def whole(name: str) -> Callable[[Row], NDArray[np.int64]]:
         part, _ = _part(dtype, name)
+        # The whole numbers are stored in the same row of 8-byte numbers, so reinterpret their bits.
         return lambda row: row[part].view(np.int64)
 
     if JOINTS in sees:

@@ -1,1 +1,4 @@
-"""Search: find scenarios that violate a claim, and shrink them, without an estimate of their probability."""
+"""Find scenarios that violate a claim, and shrink them.
+
+A search does not estimate the probability of a violation.
+"""

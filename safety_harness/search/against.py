@@ -1,6 +1,7 @@
-"""Search for the largest difference between two avoiders: one violates a claim, and the reference keeps it.
+"""Search for the largest difference between two avoiders.
 
-Both avoiders run in the same scenario, drawn from the space.
+There is a difference if the avoider under test violates a claim that the reference keeps. Both avoiders run
+in the same scenario, which is drawn from the space.
 """
 
 from __future__ import annotations
@@ -38,19 +39,23 @@ def difference(
 ) -> float:
     """Return the value that a search for differences minimises, in the unit of both margins.
 
-    The value is negative exactly if ``mine`` < 0 and the reference keeps the claim by the tolerance. It then
-    is ``mine`` - ``reference``. Otherwise it is positive, because a difference between two avoiders that both
-    keep a claim is no finding. A positive value falls as the difference falls, as ``mine`` falls to 0, and as
-    the reference rises to the tolerance.
+    If ``mine`` is negative and the margin of the reference is at least the tolerance, the value is ``mine`` -
+    ``reference``, which is negative. Otherwise the value is positive, because a difference between two
+    avoiders that both keep a claim is no finding. A positive value decreases with the difference of the
+    margins. A positive value also decreases as ``mine`` falls to 0, and as the reference rises to the
+    tolerance.
 
     Args:
-        mine: The margin of the avoider under test [unit of ``scale``]; None or NaN if it is unknown.
-        reference: The margin of the reference; if it is None, a violation counts whole.
+        mine: The margin of the avoider under test [unit of ``scale``]. It is None or NaN if the margin is
+            unknown.
+        reference: The margin of the reference, or None. Without it, the result is ``mine`` if ``mine`` is
+            negative, and NaN otherwise.
         scale: The scale of the margins' unit.
-        tolerance: The least margin by which the reference keeps a claim; None: ``TOLERANCE`` times the scale.
+        tolerance: The least margin with which the reference must keep a claim. The default is ``TOLERANCE``
+            times the scale.
 
     Returns:
-        The difference; NaN if it is unknown.
+        The difference, or NaN if the difference is unknown.
 
     """
     if mine is None or isnan(mine):
@@ -66,9 +71,10 @@ def difference(
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The avoider that replaces a run's own avoider for a comparison, in an otherwise equal scenario.
+    """The reference, which replaces the avoider of a run for a comparison.
 
-    ``avoider`` is a name, or a path relative to the working directory.
+    The rest of the scenario stays the same. ``avoider`` is a name, or a path relative to the working
+    directory.
     """
 
     avoider: str
@@ -80,14 +86,17 @@ class Reference:
         return told_avoider(self.avoider)
 
     def in_place(self, scenario: Scenario) -> Scenario:
-        """Return ``scenario`` with this avoider; raise InadmissibleError, which names ``--against``."""
+        """Return ``scenario`` with this avoider.
+
+        If this raises InadmissibleError, the error states the place ``--against``.
+        """
         return with_reference(scenario, self.avoider, Place(field="--against"))
 
     def said_of(self, claim: Claim, run: Trace) -> Evaluation | None:
-        """Return the evaluation of ``claim`` in the reference's run of the scenario of ``run``.
+        """Return the evaluation of ``claim`` for the reference, in the same scenario as ``run``.
 
-        The result is None if the reference could not run there. The reference runs once for each run; the
-        result is remembered.
+        The result is None if the reference could not run in that scenario. The reference runs once for each
+        ``run``, and later calls use the stored result.
         """
         if run not in self._runs:
             self._runs[run] = self._run(run)
@@ -95,7 +104,10 @@ class Reference:
         return None if repeated is None else property_of(claim, run.scenario).evaluate(repeated)
 
     def _run(self, run: Trace) -> Trace | None:
-        """Repeat ``run`` with the reference in the same world; return None if it is refused or fails."""
+        """Repeat ``run`` with the reference in the same world.
+
+        Return None if the scenario is refused or the run fails.
+        """
         try:
             admitted = admit(self.in_place(run.scenario))
         except InputError:
@@ -104,14 +116,14 @@ class Reference:
         return repeated if isinstance(repeated, Trace) else None
 
     def keeps(self, claim: Claim, run: Trace) -> bool:
-        """Return whether the reference ran and kept ``claim``, at least by the tolerance of its margin."""
+        """Return whether the reference ran and kept ``claim`` with a margin of at least the tolerance."""
         evaluation = self.said_of(claim, run)
         if evaluation is None or evaluation.verdict is Verdict.VIOLATED:
             return False
         return evaluation.margin is None or evaluation.margin >= tolerance(evaluation)
 
     def verdict_text(self, claim: Claim, run: Trace) -> str:
-        """Return the reference's verdict and margin for ``claim`` in words."""
+        """Return a text with the verdict and the margin of the reference for ``claim``."""
         judged = self.said_of(claim, run)
         verdict = "no run" if judged is None else f"{judged.verdict.value}, {judged.margin_text()}"
         return f"with {self.name} on the same draws: {verdict}"

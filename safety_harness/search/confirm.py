@@ -1,7 +1,7 @@
-"""Confirm a finding: whether its scenario shows it in a given world, and in how many draws.
+"""Confirm a finding: determine whether it also occurs in a given world, and in how many draws.
 
-A draw repeats the run with other random numbers of the avoider. A finding that only one of two worlds shows
-becomes a ``Disagreement`` with the runs of both.
+A draw repeats the run with other random numbers of the avoider. A finding that appears in only one of two
+worlds becomes a ``Disagreement``, which contains the runs of both worlds.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ SAME_RAD = 1e-3  # PyBullet's Panda, whose motors are strong, is up to 1.5e-4 ra
 
 @dataclass(frozen=True)
 class Complaint:
-    """What is wrong with a run: a violated claim or, if ``claim`` is None, a failed run.
+    """The defect of a run: a violated claim, or the failure of the run if ``claim`` is None.
 
-    ``kind`` is the text of the failure, or the fault of an avoider that gave no answer. With a ``reference``,
-    the complaint also requires that the reference keeps the claim in the same scenario.
+    ``kind`` is the message of the failure, or the fault of an avoider that gave no answer. If there is a
+    ``reference``, the complaint also requires that the reference keeps the claim in the same scenario.
     """
 
     claim: Claim | None
@@ -43,12 +43,15 @@ class Complaint:
 
     @property
     def sentence(self) -> str:
-        """The complaint in words."""
+        """A text that describes the complaint."""
         return self.kind if self.claim is None else self.claim.sentence
 
     @property
     def summary(self) -> str:
-        """The complaint in words, with the avoider's fault if it gave no answer."""
+        """A text that describes the complaint.
+
+        If the avoider gave no answer, the text also states the fault of the avoider.
+        """
         return f"{self.sentence}: {self.kind}" if self.claim is not None and self.kind else self.sentence
 
     def is_in(self, run: Trace | Exception) -> bool:
@@ -56,7 +59,10 @@ class Complaint:
         return failure_of(run) == self.kind if self.claim is None else self.margin_in(run) is not None
 
     def margin_in(self, run: Trace | Exception) -> float | None:
-        """Return the margin [SI] of the violation in ``run``; None if ``run`` does not violate the claim."""
+        """Return the margin [SI] of the violation in ``run``.
+
+        The result is None if ``run`` does not violate the claim.
+        """
         if self.claim is None or isinstance(run, Exception):
             return None
         if self.kind and self.kind != without_numbers(fault_of(run)):
@@ -68,14 +74,17 @@ class Complaint:
         return evaluation.margin if new else None
 
     def reference_words(self, run: Trace | Exception) -> str:
-        """Return the reference's verdict in the scenario of ``run`` in words; empty without a reference."""
+        """Return a text with the reference's verdict in the scenario of ``run``.
+
+        If there is no reference, the text is empty.
+        """
         if self.claim is None or self.reference is None or isinstance(run, Exception):
             return ""
         return self.reference.verdict_text(self.claim, run)
 
 
 def failure_of(run: Trace | Exception) -> str:
-    """Return why ``run`` failed, without the numbers in the message; empty for a trace."""
+    """Return the reason why ``run`` failed, without the message's numbers, or an empty text for a trace."""
     return f"{RUN_FAILED}{without_numbers(described(run))}" if isinstance(run, Exception) else ""
 
 
@@ -83,8 +92,8 @@ def failure_of(run: Trace | Exception) -> str:
 class Confirm:
     """A function that admits and runs a scenario, and returns whether the run shows the complaint.
 
-    A claim counts only if it is violated by at least ``by`` [SI]. By default, ``admit`` starts a user's
-    program anew for each run.
+    The run shows a violated claim only if the claim is violated by at least ``by`` [SI]. By default,
+    ``admit`` starts a user's program anew for each run.
     """
 
     complaint: Complaint
@@ -93,7 +102,10 @@ class Confirm:
     admit: Callable[[Scenario], Admitted] = admit
 
     def __call__(self, scenario: Scenario) -> bool:
-        """Return whether ``scenario`` shows the complaint; False if admission refuses it."""
+        """Return whether ``scenario`` shows the complaint.
+
+        The result is False if admission refuses the scenario.
+        """
         try:
             run = self.world([self.admit(scenario)])[0]
         except InputError:
@@ -102,9 +114,10 @@ class Confirm:
         return self.complaint.is_in(run) and (margin is None or -margin >= self.by)
 
     def share_of_draws(self, scenario: Scenario, draws: int) -> int:
-        """Return how many of ``draws`` draws of the avoider's own randomness show the complaint.
+        """Repeat the run ``draws`` times, and return how often the complaint occurs.
 
-        All else in the scenario stays the same.
+        Each repetition draws other random numbers for the avoider. The rest of the scenario stays the same in
+        all repetitions.
         """
         admitted = self.admit(scenario)
         redrawn = (replace(admitted, avoider=OtherDraws(admitted.avoider, k)) for k in range(draws))
@@ -113,7 +126,10 @@ class Confirm:
 
 @dataclass(frozen=True, eq=False)
 class OtherDraws(AvoiderAround):
-    """An avoider with other seeds, which are derived from each question's seed and ``stream``."""
+    """An avoider that answers each query with another seed.
+
+    The new seed derives from the query's seed and ``stream``.
+    """
 
     stream: int
 
@@ -131,7 +147,7 @@ class OtherDraws(AvoiderAround):
 
 @dataclass(frozen=True, eq=False)
 class InOneWorld:
-    """A run with the evaluations of its scenario's claims, or the exception of a failed run."""
+    """A run and the evaluations of its scenario's claims, or the exception of a failed run."""
 
     run: Trace | Exception
     evaluations: tuple[Evaluation, ...] = ()
@@ -139,7 +155,10 @@ class InOneWorld:
 
 @dataclass(frozen=True, eq=False)
 class Disagreement:
-    """A finding that a reference does not show, with the runs of both worlds; None: without that run."""
+    """A finding that a reference does not show, with its runs in both worlds.
+
+    A missing run is None.
+    """
 
     group: Group
     complaint: Complaint
@@ -150,13 +169,15 @@ class Disagreement:
 def disagreement_of(
     group: Group, complaint: Complaint, case: Scenario, searched: ScenarioRunner, confirming: ScenarioRunner
 ) -> Disagreement:
-    """Run ``case`` in both worlds, and return both runs, judged by the complaint's claim if there is one.
+    """Run ``case`` in both worlds, and return both runs.
+
+    If the complaint has a claim, both runs are judged by this claim.
 
     Args:
-        group: The violations that the scenario stands for.
+        group: The group of violations from which the scenario comes.
         complaint: The claim or failure that ``confirming`` does not show.
         case: The scenario.
-        searched: The world of the search.
+        searched: The world in which the search ran.
         confirming: The world that confirms.
 
     """
@@ -171,10 +192,10 @@ def disagreement_of(
 
 
 def physics_of(run: Trace | Exception, model: Trace | Exception) -> tuple[bool, str]:
-    """Return whether physics had a part in a run, and this as a line for people.
+    """Return whether physics influenced a run, and a sentence that states this.
 
-    Where no motor saturates and nothing is touched, a world with an engine computes what the kinematic world
-    computes.  Then its run repeats a finding, and adds no evidence from physics.
+    If no motor is saturated and there is no contact, a world with an engine computes the same motion as the
+    kinematic world. Such a run repeats a finding without adding evidence from physics.
 
     Args:
         run: The run in a world with an engine.
@@ -202,7 +223,7 @@ def in_one_world(
         run: Its run, if there is one already.
 
     Returns:
-        The run with its evaluations; a failed run has none.
+        The run with its evaluations. A failed run has no evaluations.
 
     """
     run = run or world([admitted])[0]

@@ -1,6 +1,7 @@
-"""Confirm, shrink and explain a violation, and write it as a scenario file with its evidence in comments.
+"""Confirm, shrink and explain a violation, and write it as a scenario file.
 
-An explanation has two sources: replays with changes (``search.attribution``), and the decisions of the run.
+The comments in the file contain the evidence. An explanation has two sources: the replays with changes that
+``search.attribution`` makes, and the decisions of the run.
 """
 
 from __future__ import annotations
@@ -40,7 +41,10 @@ STARTS_S, ENGINE_COSTS = 5.0, 30.0
 
 
 def cost_s(world: WorldEntry, runs: Sequence[Scenario]) -> float:
-    """Return what ``runs`` in ``world`` cost, as simulated seconds [s] of the kinematic world."""
+    """Return the cost of simulating ``runs`` in ``world``.
+
+    The unit is a simulated second [s] of the kinematic world.
+    """
     factor = ENGINE_COSTS if world.reference else 1.0
     return sum(STARTS_S + factor * scenario.duration_s for scenario in runs)
 
@@ -49,7 +53,8 @@ def cost_s(world: WorldEntry, runs: Sequence[Scenario]) -> float:
 class Explanation:
     """The reasons why a scenario violates a claim.
 
-    ``lines`` are text for people. Two explanations have the same cause if they share a text in ``causes``.
+    ``lines`` are sentences for people. Two explanations have the same cause if their ``causes`` have a text
+    in common.
     """
 
     lines: tuple[str, ...] = ()
@@ -58,10 +63,10 @@ class Explanation:
 
 @dataclass(eq=False)
 class Allowance:
-    """The simulated time [s] that all explanations together may cost.
+    """A limit on the simulated time [s] that all explanations may cost in total.
 
-    Unlike a limit by the wall's clock, it has the same effect on any machine. The present example must end
-    before ``spent_s`` reaches ``until_s``.
+    Unlike a limit on wall-clock time, this limit has the same effect on any machine. During the work on the
+    present example, the spent time ``spent_s`` must stay below ``until_s``.
     """
 
     total_s: float = inf
@@ -69,32 +74,39 @@ class Allowance:
     until_s: float = inf
 
     def share(self, *, last: bool, least_s: float = 0.0) -> None:
-        """Give the next example half of the time that is left, or all of it if it is the ``last``.
+        """Give half of the remaining time to the next example.
 
-        An example that costs ``least_s`` gets as much, if so much is left.
+        If this example is the ``last`` one, it gets all of the remaining time. The example gets at least
+        ``least_s`` if so much time remains.
         """
         left_s = self.total_s - self.spent_s
         self.until_s = self.spent_s + (left_s if last else min(left_s, max(0.5 * left_s, least_s)))
 
     def has(self, cost_s: float = 0.0) -> bool:
-        """Return whether the present example may cost another ``cost_s``."""
+        """Return whether the present example may use another ``cost_s`` [s]."""
         return self.spent_s + cost_s < self.until_s
 
     def spend(self, world: WorldEntry, runs: Sequence[Scenario]) -> None:
-        """Add the cost of ``runs`` in ``world``; raise SpentError without a change if it is too high."""
+        """Add the cost of ``runs`` in ``world``.
+
+        If the cost is too high, raise SpentError and add no cost.
+        """
         runs_cost_s = cost_s(world, runs)
         if not self.has(runs_cost_s):
             raise SpentError
         self.spent_s += runs_cost_s
 
     def metered(self, runner: ScenarioRunner) -> ScenarioRunner:
-        """Return ``runner`` that adds the cost of its runs, and raises SpentError before a cost too high."""
+        """Return a runner that adds the cost of the runs of ``runner``.
+
+        The runner raises SpentError before a run whose cost is too high.
+        """
         return _Metered(runner, self)
 
 
 @dataclass(frozen=True, eq=False)
 class _Metered:
-    """A ScenarioRunner whose runs an allowance pays."""
+    """A ScenarioRunner that charges its runs to an allowance."""
 
     runner: ScenarioRunner
     allowance: Allowance
@@ -116,7 +128,9 @@ class Explain(Protocol):
     def __call__(
         self, scenario: Scenario, claim: Claim, allowance: Allowance, *, confirms: bool = True
     ) -> Explanation:
-        """Return the explanation; with ``confirms``, repeat it in a reference if the allowance has so much.
+        """Return the explanation.
+
+        If ``confirms`` is True and the allowance is sufficient, repeat the explanation in a reference world.
 
         Raises:
             SpentError: The allowance is too small for an explanation.
@@ -127,7 +141,7 @@ class Explain(Protocol):
 def unexplained(
     scenario: Scenario, claim: Claim, allowance: Allowance, *, confirms: bool = True
 ) -> Explanation:
-    """Return an empty explanation of any scenario and claim."""
+    """Return an empty explanation for any scenario and claim."""
     return Explanation()
 
 
@@ -137,7 +151,10 @@ def seen_of(scenario: Scenario) -> SeenRegions:
 
 
 def circumstances(trace: Trace) -> list[str]:
-    """Return lines on the run's cell in the coverage, and on each decision with its spread and checks."""
+    """Return lines on the run's cell in the coverage, and on each decision.
+
+    The lines include the decision's spread and failed checks.
+    """
     seen = seen_of(trace.scenario)
     cell = cell_of(trace, seen)
     lines = [] if cell is None else [f"the run: {cell} (seen by {seen.source})"]
@@ -165,10 +182,10 @@ def circumstances(trace: Trace) -> list[str]:
 
 
 def sure_about_unseen(trace: Trace, seen: SeenRegions) -> list[str]:
-    """Return a line on the accepted answer of least spread about a hand outside the training data.
+    """Find the accepted answer with the least spread among hands outside the training data.
 
-    Only answers count that the gate accepted and whose spread is above 0 and at most the threshold. The list
-    is empty without such an answer.
+    Return a line on this answer. The function considers an accepted answer only if its spread is above 0 and
+    at most the threshold. The list is empty if there is no such answer.
 
     Args:
         trace: The run.
@@ -197,7 +214,11 @@ CONTACT = {
 
 
 def contact_words(run: Trace | Exception) -> str:
-    """Return whether a hand touches the arm, in words; unknown if ``run`` failed or its bounds allow both."""
+    """Return a text that states whether a hand touches the arm.
+
+    The text states that this is unknown if ``run`` failed, or if the bounds of the distance allow both
+    answers.
+    """
     return CONTACT[nearest_hand(run).verdict if isinstance(run, Trace) else Verdict.INCONCLUSIVE]
 
 
@@ -208,15 +229,16 @@ _NUMBER = re.compile(r"(?<![\w.-])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w.])")  # no
 
 @dataclass(frozen=True, eq=False)
 class Counterexample:
-    """A shrunk scenario whose claims expect the verdicts of the confirming run.
+    """A shrunk scenario. For each claim, the scenario expects the verdict of the confirming run.
 
-    ``run`` is the confirming run, or an Exception if it could not be finished. ``draws`` counts the
-    violations among DRAWS draws of the avoider's own randomness. ``found_margin`` [SI] is the margin in the
-    confirming world before shrinking; None for a run error. ``found_contact`` and ``contact`` are the
-    ``contact_words`` before and after shrinking. ``circumstances`` and ``attribution`` (the cause) are lines
-    for people; counterexamples with a common text in ``causes`` share a cause. A spent allowance (``is_cut``)
-    may leave ``attribution`` and ``draws`` empty. After an interruption, and in a scenario without an
-    avoider, ``draws`` is None.
+    ``run`` is the confirming run, or an Exception if it could not be finished. The run was repeated DRAWS
+    times with other random numbers of the avoider, and ``draws`` counts the repetitions with a violation.
+    ``found_margin`` [SI] is the margin in the confirming world before shrinking, or None for a run error.
+    ``found_contact`` and ``contact`` are the ``contact_words`` before and after shrinking. ``circumstances``
+    and ``attribution`` are lines for people, and ``attribution`` describes the cause. Counterexamples share a
+    cause if their ``causes`` have a text in common. ``is_cut`` states that the allowance was used up. In this
+    case, ``attribution`` may be empty, and ``draws`` may be None. ``draws`` is also None after an
+    interruption, or if the scenario has no avoider.
     """
 
     complaint: Complaint
@@ -243,13 +265,16 @@ class Counterexample:
 
     @property
     def further(self) -> list[str]:
-        """Lines that follow the attribution: circumstances, decisions, and other draws of the avoider."""
+        """The lines that follow the attribution.
+
+        These lines are on circumstances, decisions, and other draws of the avoider.
+        """
         often = f"the avoider's own randomness: it happens in {self.draws} of {DRAWS} draws of it"
         return [*self.circumstances, *[often] * (self.draws is not None)]
 
     @property
     def evaluation(self) -> Evaluation | None:
-        """The evaluation of the violated claim; None for a run error."""
+        """The evaluation of the violated claim, or None for a run error."""
         claims = self.shrunk.scenario.claims
         pairs = zip(claims, self.evaluations, strict=False)
         return next((evaluation for claim, evaluation in pairs if claim == self.complaint.claim), None)
@@ -267,9 +292,9 @@ class Counterexample:
 
     @cached_property
     def structure(self) -> str:
-        """The shrunk file without its name, seed, claims and numbers.
+        """The text of the shrunk scenario without its name, seed, claims and numbers.
 
-        The avoider, the hands with their moves, the faults and the relevant settings remain.
+        It contains the avoider, the hands with their moves, the faults and the relevant settings.
         """
         plain = replace(self.shrunk.scenario, name="", title="-", about="", seed=0, claims=())
         return _NUMBER.sub("#", write_scenario(plain))
@@ -277,7 +302,7 @@ class Counterexample:
     def is_same_as(self, second: Counterexample) -> bool:
         """Return whether this and ``second`` violate the same claim with the same structure.
 
-        If the avoider gave no answer, the texts of the failures must agree too.
+        If the avoider gave no answer, the texts of the failures must also be equal.
         """
         return self.complaint == second.complaint and self.structure == second.structure
 
@@ -296,25 +321,25 @@ def counterexample_of(
 ) -> Counterexample | None:
     """Confirm, explain and shrink the violation ``complaint`` of ``scenario``.
 
-    Every shrunk scenario must violate by at least a tenth of the first margin, so that its violation is not
-    marginal. After Ctrl-C during shrinking, the result has the simplest scenario so far and
-    ``shrunk.interrupted``.
+    Every shrunk scenario must violate the claim by at least a tenth of the first margin, so that the
+    violation is not marginal. After Ctrl-C during shrinking, the result has the simplest scenario so far, and
+    ``shrunk.interrupted`` is True.
 
     Args:
         scenario: The violating scenario.
         complaint: The claim or failure.
         world: The world that confirms.
         budget: The greatest number of runs for shrinking.
-        sooner: A quicker world for shrinking, if it shows the violation of ``scenario``; ``world`` then runs
-            the shrunk scenario. None: ``world``.
-        explain: The function that explains a violation; it is not called for missing answers.
-        allowance: Limits explanation, shrinking and draws; the confirmations of ``scenario`` and of the
-            shrunk one are free. None: no limit.
-        admitter: The admitter of all runs. None: a new one.
-        on_step: Receives the description of each step.
+        sooner: A quicker world for shrinking, which is used if it shows the violation of ``scenario``. In
+            this case, ``world`` runs only the shrunk scenario. The default is ``world``.
+        explain: The function that explains a violation. For a missing answer, this function is not called.
+        allowance: Limits explanation, shrinking and draws, but not the runs that confirm ``scenario`` and the
+            shrunk scenario. The default sets no limit.
+        admitter: The admitter of all runs. The default is a new admitter.
+        on_step: A function that receives a description of each step.
 
     Returns:
-        The counterexample; None if ``world`` does not show the complaint.
+        The counterexample, or None if ``world`` does not show the complaint.
 
     """
     allowance, admitter = allowance or Allowance(), admitter or Admitter()
@@ -370,7 +395,7 @@ class _Remembering:
         return runs
 
     def run_of(self, scenario: Scenario) -> Trace | Exception | None:
-        """Return the run of ``scenario`` if that was the last one; else None."""
+        """Return the run of ``scenario``, or None if another scenario ran last."""
         return next((run for known, run in self._last if known == scenario), None)
 
 
@@ -383,11 +408,12 @@ def _shrunk(
     allowance: Allowance,
     on_step: Callable[[str], None],
 ) -> Shrunk:
-    """Return ``scenario`` shrunk for at most half of the allowance's present share.
+    """Return ``scenario`` after shrinking.
 
-    The candidates run in ``sooner``, with one instance of a user's program for all. The confirming world
-    runs only the result, with a fresh instance. If that does not violate, shrinking starts again, and the
-    confirming world tests each candidate that violates in ``sooner``.
+    Shrinking may use at most half of the allowance of the present example. The candidates run in ``sooner``,
+    all with the same instance of a user's program. The confirming world runs only the result, with a new
+    instance. If the result does not violate the claim in that world, shrinking starts again. In this second
+    attempt, the confirming world tests each candidate that violates the claim in ``sooner``.
     """
 
     def shrunk_while(*confirms: Confirm) -> Shrunk:
@@ -422,7 +448,7 @@ def _shrunk(
 def _affordable_explanation(
     allowance: Allowance, explain: Explain, scenario: Scenario, claim: Claim
 ) -> Explanation | None:
-    """Return the explanation of a violation; None if the ``allowance`` is too small for it."""
+    """Return the explanation of a violation, or None if the ``allowance`` is too small for it."""
     try:
         return explain(scenario, claim, allowance)
     except SpentError:
@@ -432,9 +458,11 @@ def _affordable_explanation(
 def _explained(
     as_found: Explanation, shrunk: Shrunk, claim: Claim, explain: Explain, allowance: Allowance
 ) -> Explanation:
-    """Return the explanation ``as_found``, and if it has no cause, with that of the shrunk run.
+    """Return the explanation ``as_found``.
 
-    A shrunk run may end before a change fails, so a change that only gains time would count as its cause.
+    If this explanation has no cause, add the explanation of the shrunk run. A shrunk run may end so early
+    that a change which only delays the violation seems to avoid it. Such a change would wrongly appear as the
+    cause.
     """
     first = replace(as_found, lines=_naming("run as found", as_found.lines))
     if first.causes or not first.lines or shrunk.interrupted:
@@ -444,7 +472,7 @@ def _explained(
 
 
 def _naming(run: str, lines: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the lines of an explanation, of which the first one names its run."""
+    """Return the lines of an explanation, after adding the name of its run to the first line."""
     return (f"{lines[0]} (of the {run})", *lines[1:]) if lines else ()
 
 
@@ -453,8 +481,8 @@ def text_of(case: Counterexample, origin: Sequence[str], trace_file: Path | None
 
     Args:
         case: The counterexample.
-        origin: Lines on the search that found it.
-        trace_file: The file of the confirming run; None if there is no trace.
+        origin: Lines on the search that found the counterexample.
+        trace_file: The file of the confirming run, or None if there is no trace.
 
     """
     head = [f"A counterexample to: {case.complaint.sentence}", *origin]
@@ -473,7 +501,10 @@ def text_of(case: Counterexample, origin: Sequence[str], trace_file: Path | None
 
 
 def _margins(evaluation: Evaluation, indent: str) -> list[str]:
-    """Return a line with the verdict and the margin, rounded and exact, and such a line for each part."""
+    """Return lines with the verdict and the margin of an evaluation, and the same for each of its parts.
+
+    Each margin appears twice: rounded and exact.
+    """
     exact = "" if evaluation.margin is None else f" ({evaluation.margin!r} in SI)"
     when = "" if evaluation.worst_time_s is None else f" at {evaluation.worst_time_s:.3f} s"
     verdict = "VIOLATED" if evaluation.verdict is Verdict.VIOLATED else evaluation.verdict.value
@@ -499,12 +530,14 @@ def _evidence(trace: Trace) -> list[str]:
 
 
 def origin_of(trials: Trials, tried: TriedPoint, searcher: str) -> list[str]:
-    """Return lines on the search that found ``tried``, and the exact value there of every parameter.
+    """Return lines on the search that found ``tried``.
+
+    The lines include the exact value of every parameter at that point.
 
     Args:
         trials: The trials of the search.
         tried: The point.
-        searcher: The searcher's name.
+        searcher: The name of the searcher.
 
     """
     space = trials.space

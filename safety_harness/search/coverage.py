@@ -1,10 +1,11 @@
-"""Coverage: counts of runs by approach direction, speed, distance, seen or unseen, and outcome.
+"""Count runs by five axes: approach direction, speed, distance, coverage by training data, and outcome.
 
-Each run belongs to one cell. Direction, speed, and seen or unseen are those at the run's worst decision. A
-protective stop is worse than an opposite pose, which is worse than a proposed position; of equal decisions,
-the first counts. Without a decision they are those at the hand's nearest approach. The distance is the least
-distance of the run. If a controller reports no decisions, distances and motion determine the cell, with its
-first protective stop if it reports its mode.
+Each run belongs to one cell. The direction, the speed and the coverage by training data are those at the
+run's worst decision. A protective stop is worse than an opposite pose, and an opposite pose is worse than a
+proposed position. If several decisions are equally bad, the earliest of them is used. If a run has no
+decision, these values are taken at the hand's nearest approach. The distance is always the least distance of
+the run. If a controller reports no decisions, the cell follows from distances and motion. If such a
+controller reports its mode, its first protective stop is used as a decision.
 """
 
 from __future__ import annotations
@@ -33,13 +34,14 @@ AXES = {"direction": DIRECTIONS, "speed": SPEEDS, "distance": DISTANCES, "seen":
 
 READ = ("transform_tcp_to_base", "hand_present", "hand_position_in_base_m", "hand_distance_m")
 READ_OF_DECISIONS = ("decision.tick", "decision.outcome")
+# The upper bounds of the classes in SPEEDS and DISTANCES, except the last class.
 _FAST_MPS, _NEAR_M = (0.05, 0.5, 1.0), (0.0, 0.05, 0.2)
 _RANKS = {DecisionOutcome.PROPOSED: 1, DecisionOutcome.OPPOSITE: 2, DecisionOutcome.STOP: 3}
 
 
 @dataclass(frozen=True, order=True)
 class CoverageCell:
-    """One of 1,536 cells, as one word for each axis."""
+    """One of 1,536 cells. A word for each axis describes the cell."""
 
     direction: str
     speed: str
@@ -53,13 +55,19 @@ class CoverageCell:
 
 @dataclass
 class Coverage:
-    """The number of runs in each cell; ``without`` counts the runs that have no cell."""
+    """The number of runs in each cell.
+
+    ``without`` is the number of runs that have no cell.
+    """
 
     counts: Counter[CoverageCell] = field(default_factory=Counter)
     without: int = 0
 
     def add(self, cells: Iterable[CoverageCell | None]) -> None:
-        """Count one run for each of ``cells``; None stands for a run without a cell."""
+        """Count a run for each element of ``cells``.
+
+        An element None means a run without a cell.
+        """
         runs = list(cells)
         self.without += runs.count(None)
         self.counts.update(cell for cell in runs if cell is not None)
@@ -72,7 +80,7 @@ class Coverage:
         return counts
 
     def table(self, rows: str, columns: str) -> dict[str, dict[str, int]]:
-        """Return the number of runs for each pair of words of the axes ``rows`` and ``columns``.
+        """Return the number of runs for each combination of a word of ``rows`` and a word of ``columns``.
 
         Args:
             rows: An axis of AXES.
@@ -86,12 +94,15 @@ class Coverage:
 
     @property
     def touching(self) -> int:
-        """The number of runs in which a hand touched the arm's capsules, whatever the claims."""
+        """The number of runs in which a hand touched the arm's capsules, regardless of the claims."""
         return self.along("distance")[DISTANCES[0]]
 
     @property
     def holes(self) -> list[CoverageCell]:
-        """The cells without a run; many of them may be out of reach in a given space."""
+        """The cells without a run.
+
+        In a given space, many of them may be impossible.
+        """
         return [cell for names in product(*AXES.values()) if not self.counts[cell := CoverageCell(*names)]]
 
     def __str__(self) -> str:
@@ -113,7 +124,8 @@ def cell_of(trace: Trace, seen: SeenRegions) -> CoverageCell | None:
         seen: The regions of the avoider's training data.
 
     Returns:
-        The cell; None if no hand was ever present, or a needed quantity was not measured or not finite.
+        The cell of the run. It is None if no hand was ever present, or if a needed quantity was not measured
+        or not finite.
 
     """
     if not (_measured(trace, READ) and (trace.scenario.driven or _measured(trace, READ_OF_DECISIONS))):
@@ -124,6 +136,7 @@ def cell_of(trace: Trace, seen: SeenRegions) -> CoverageCell | None:
         return None
     rank, worst_tick = _worst_decision(trace)
     if worst_tick is not None:
+        # At that tick, no hand may have a finite distance; then the first hand counts.
         tick, hand = worst_tick, max(_nearest(ticks[worst_tick : worst_tick + 1])[2], 0)
     hand_m = trace.ticks["hand_position_in_base_m"][:, hand]
     tcp_m = trace.ticks["transform_tcp_to_base"][tick, :3, 3]
@@ -140,13 +153,14 @@ def cell_of(trace: Trace, seen: SeenRegions) -> CoverageCell | None:
 
 @compiled
 def _nearest(ticks: NDArray[np.void]) -> tuple[float, int, int]:
-    """Return the least hand distance [m] in ``ticks`` (n,), and the first tick and hand with it.
+    """Return the least hand distance [m] in ``ticks`` (n,), and the tick and hand at which it first occurs.
 
-    The hand is -1 if no hand was at a finite distance; NaN distances are left out.
+    If no hand was at a finite distance, the hand is -1. NaN distances are ignored.
     """
     least_m, at, nearest = np.inf, 0, -1
     for k in range(ticks.shape[0]):
         for hand in range(ticks[k].hand_present.shape[0]):
+            # A comparison with NaN is False.
             if ticks[k].hand_present[hand] != 0 and ticks[k].hand_distance_m[hand] < least_m:
                 least_m, at, nearest = ticks[k].hand_distance_m[hand], k, hand
     return least_m, at, nearest
@@ -160,7 +174,10 @@ def _measured(trace: Trace, names: Iterable[str]) -> bool:
 
 
 def _worst_decision(trace: Trace) -> tuple[int, int | None]:
-    """Return the rank of the worst known decision, 0 to 3, and its tick; None without a decision."""
+    """Return the rank (from 0 to 3) and the tick of the run's worst known decision.
+
+    If no decision is known, the tick is None.
+    """
     if not _measured(trace, READ_OF_DECISIONS):
         stops = np.flatnonzero(trace.ticks["mode"] == Mode.PROTECTIVE_STOP)
         known = len(stops) > 0 and _measured(trace, ["mode"])
@@ -173,7 +190,10 @@ def _worst_decision(trace: Trace) -> tuple[int, int | None]:
 
 
 def _speed(trace: Trace, hand_m: NDArray[np.float64], tick: int) -> str:
-    """Return the word for the hand's speed in the period before ``tick``, or in the first period."""
+    """Return the word for the hand's speed in the control period before ``tick``.
+
+    For the first tick, return the word for the speed in the first control period.
+    """
     first, last = max(tick - 1, 0), max(tick, 1)
     if last >= len(hand_m):
         return SPEEDS[0]
@@ -183,5 +203,8 @@ def _speed(trace: Trace, hand_m: NDArray[np.float64], tick: int) -> str:
 
 
 def _class_of(names: tuple[str, ...], bounds: tuple[float, ...], value: float) -> str:
-    """Return the word of ``names`` for ``value``; a bound belongs to the word before it, NaN to the last."""
+    """Return the word in ``names`` for ``value``.
+
+    A value that equals a bound belongs to the class below the bound. NaN belongs to the last class.
+    """
     return names[sum(not value <= bound for bound in bounds)]

@@ -1,4 +1,4 @@
-"""The unit cube of a searcher: its coordinates, their jumps, and which points give the same scenario."""
+"""The unit cube of a searcher: its coordinates, their intervals, and the points with the same scenario."""
 
 from __future__ import annotations
 
@@ -18,27 +18,35 @@ Scores = NDArray[np.float64]  # (n, k): one a claim, NaN where nothing was learn
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """One coordinate of the cube, divided by ``edges`` from 0 to 1, at which the scenario may jump.
+    """One coordinate of the cube.
 
-    A ``flat`` coordinate chooses among alternatives: the scenario is the same everywhere between two edges.
+    ``edges`` divide the range from 0 to 1 into intervals, and the scenario may change abruptly at an edge. A
+    ``flat`` coordinate chooses among alternatives, so that the scenario is the same everywhere between two
+    edges.
     """
 
     edges: tuple[float, ...] = (0.0, 1.0)
     flat: bool = False
 
     def interval_of(self, u: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Return the number (n,) of the interval that contains each coordinate ``u`` (n,)."""
+        """Return the numbers of the intervals that contain the coordinates ``u`` (n,).
+
+        The result has the shape (n,).
+        """
         return np.searchsorted(np.array(self.edges[1:-1]), u, side="right")
 
     def middle_of(self, interval: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the middles (n,) of the intervals with the numbers ``interval`` (n,)."""
+        """Return the middle of each interval whose number is in ``interval`` (n,), shape (n,)."""
         edges = np.array(self.edges)
         middle: NDArray[np.float64] = (edges[interval] + edges[interval + 1]) / 2.0
         return middle
 
 
 def _all_used(points: Points) -> NDArray[np.bool_]:
-    """Return (n, d) True: every coordinate of ``points`` (n, d) matters."""
+    """Return True for every coordinate of ``points`` (n, d).
+
+    This means that all coordinates influence the scenario.
+    """
     return np.ones(points.shape, bool)
 
 
@@ -46,8 +54,9 @@ def _all_used(points: Points) -> NDArray[np.bool_]:
 class Cube:
     """The unit cube of a space.
 
-    ``same`` maps points (n, d) to the canonical point of their scenario; None: ``canonical`` uses the columns
-    alone. ``used`` tells which coordinates (n, d) of points change the scenario.
+    ``same`` is a function that maps points (n, d) to the canonical points of their scenarios. If ``same`` is
+    None, ``canonical`` uses only the columns. ``used`` is a function that returns, for points (n, d), which
+    coordinates influence the scenario.
     """
 
     columns: tuple[Column, ...]
@@ -89,10 +98,11 @@ class Cube:
         return np.flatnonzero([column.flat for column in self.columns])
 
     def canonical(self, points: Points) -> Points:
-        """Return canonical ``points`` (n, d), which are equal for the same alternatives.
+        """Return the canonical points of ``points`` (n, d).
 
-        A flat coordinate becomes the middle of its interval, and a coordinate that the scenario does not use
-        0.5. All other coordinates stay the same.
+        A flat coordinate becomes the middle of its interval, so that it has the same value at all points with
+        the same alternative. A coordinate that the scenario does not use becomes 0.5. All other coordinates
+        stay the same.
         """
         if self.same is not None:
             return self.same(points)
@@ -103,10 +113,10 @@ class Cube:
         return middles
 
     def distances(self, points: Points, to: Point) -> NDArray[np.float64]:
-        """Return the distances (n,) of ``points`` from ``to``: root mean squares over the coordinates.
+        """Return the distances (n,) of ``points`` from ``to``.
 
-        In a flat coordinate, two different alternatives are 1 apart. In many coordinates, two random points
-        are about 0.41 apart.
+        A distance is the root mean square over the coordinates. In a flat coordinate, two different
+        alternatives have the distance 1. In many coordinates, two random points are about 0.41 apart.
 
         Args:
             points: (n, d) canonical points.

@@ -1,11 +1,13 @@
-"""The default searcher: explore the space, and descend from its worst known places, which lie far apart.
+"""Define the default searcher, which explores the space and descends from bad points that lie far apart.
 
-A third of the points explore (``Explorer``). The other points are for descents (CMA-ES), in equal shares for
-the claims. A descent begins at the worst known point of a claim, and keeps that point's alternatives. It ends
-when it finds a violation or no longer improves, and the next descent begins far from it.
+A third of the points explore the space with ``Explorer``. The other points serve descents with CMA-ES, and
+each claim gets the same number of points. A descent begins at the worst known point of a claim, and keeps
+that point's alternatives. A descent ends when it finds a violation or no longer improves. The next descent
+begins far from that place.
 
-All known margins of a claim may be equal. Then no direction leads down, and that claim's share of the points
-explores. While there is such a claim, each unsuccessful descent reduces the share of its own claim.
+All known margins of a claim may be equal. In that case there is no direction of descent, and the points of
+that claim serve exploration. While there is such a claim, each unsuccessful descent for another claim reduces
+the fraction of points that this other claim gets.
 """
 
 from __future__ import annotations
@@ -26,10 +28,10 @@ _KEPT = 256  # points for each claim
 
 
 class Archive:
-    """The points with the least scores of one claim, each marked as far from all occupied places or not.
+    """The points with the least scores of one claim.
 
-    A descent occupies the places where it began and ended. The archive keeps at most 256 points, however long
-    the search is.
+    A mark on each point states whether it is far from all occupied places. A descent occupies the places
+    where it began and ended. The archive keeps at most 256 points, however long the search is.
 
     Args:
         cube: The cube of the space.
@@ -46,7 +48,7 @@ class Archive:
         self._taken = np.empty((0, cube.dimension))
 
     def add(self, points: Points, scores: NDArray[np.float64]) -> None:
-        """Add the canonical ``points`` (n, d) whose ``scores`` (n,) are finite, and leave out the others."""
+        """Add each of the canonical ``points`` (n, d) whose value in ``scores`` (n,) is finite."""
         known = np.isfinite(scores)
         if not known.any():
             return
@@ -57,6 +59,7 @@ class Archive:
         free = np.concatenate([self._free, np.ones(len(scores) - old_count, bool)])
         order = np.argsort(scores, kind="stable")[:_KEPT]
         self.points, self.scores, self._free = points[order], scores[order], free[order]
+        # Compare only the new points with the occupied places; the other points keep their marks.
         for new in np.flatnonzero(order >= old_count):
             self._free[new] = np.all(self._cube.distances(self._taken, self.points[new]) > self._apart)
 
@@ -67,24 +70,30 @@ class Archive:
 
     @property
     def worst_free(self) -> Point | None:
-        """The point (d,) of least score that is far from every occupied place; None if there is none."""
+        """The point (d,) with the least score among the points that are far from every occupied place.
+
+        The result is None if there is no such point.
+        """
         return self.points[int(np.argmax(self._free))].copy() if self._free.any() else None
 
     @property
     def flat(self) -> bool:
-        """Whether all scores are equal, so that no direction leads down."""
+        """Whether all scores are equal.
+
+        If all scores are equal, no direction leads to a lower score.
+        """
         return len(self.scores) == 0 or bool(self.greatest - self.scores[0] < 1e-9)
 
 
-_EXPLORING = 1.0 / 3.0
+_EXPLORING = 1.0 / 3.0  # fraction of the points; a choice
 _LEAST_APART = 0.15  # root mean square over the cube, between the places of descents on one claim
-_STEP = 0.15
+_STEP = 0.15  # first standard deviation of a descent; a choice
 _BETTER = 0.01  # the least improvement of a score that counts
 
 
 @dataclass(eq=False)
 class _Island:
-    """One descent, with its claim, the claim's least score at its beginning, and its best place."""
+    """A descent, its claim, its best place, and the least score that the claim had when the descent began."""
 
     claim: int
     descent: Descent
@@ -121,10 +130,14 @@ class Default:
         return max(32, 4 * self._cube.dimension)
 
     def propose(self, count: int) -> Points:
-        """Return ``count`` points (count, d) of the exploration and of as many descents as fit."""
+        """Return ``count`` points, shape (count, d).
+
+        Some points explore. The remaining points belong to as many descents as the number of points permits.
+        """
         self._parts = []
         exploring = min(max(self._first - self._explored, 0), count)
         if exploring < count and self._proposed >= self._first:
+            # Add up the fractions, so that small batches explore as often as large ones.
             self._due += self._exploring * count
             exploring = min(int(self._due), count)
         proposed = self._descending(count - exploring)
@@ -139,7 +152,7 @@ class Default:
 
     @property
     def _exploring(self) -> float:
-        """The share of points that explore."""
+        """The fraction of the points that explore."""
         flat = [archive.flat for archive in self._archives]
         shares = [0.0 if f else math.ldexp(1.0, -vain) for f, vain in zip(flat, self._in_vain, strict=True)]
         descending = sum(shares) if any(flat) else self._claims
@@ -158,7 +171,10 @@ class Default:
                 self._advance(island, canonical[part], scores[part, island.claim])
 
     def _advance(self, island: _Island, canonical: Points, scores: Scores) -> None:
-        """Let the descent of ``island`` learn ``scores``; end it on a violation or without improvement."""
+        """Let the descent of ``island`` learn ``scores``.
+
+        A violation, or a lack of improvement, ends the descent.
+        """
         known = np.where(np.isnan(scores), np.inf, scores)
         island.descent.learn(known)
         if known.min() < island.score:
@@ -170,7 +186,7 @@ class Default:
             self._islands.remove(island)
 
     def _descending(self, left: int) -> list[Point]:
-        """Return at most ``left`` points: first those of running descents, then those of new descents."""
+        """Return at most ``left`` points: first points of running descents, then points of new descents."""
         proposed: list[Point] = []
         if self._explored < self._first:
             return proposed
@@ -184,7 +200,10 @@ class Default:
         return proposed
 
     def _begin(self) -> _Island | None:
-        """Begin and return a descent on the next claim with a free place; None if no claim has one."""
+        """Begin a descent for the next claim that has a free place, and return the descent.
+
+        Return None if no claim has a free place.
+        """
         for _ in range(self._claims):
             claim = self._next_claim
             self._next_claim = (claim + 1) % self._claims
@@ -210,6 +229,7 @@ class Default:
             low[number], high[number] = column.edges[interval], column.edges[interval + 1]
             if column.flat:
                 low[number] = high[number] = start[number]
+            # The upper edge belongs to the next interval, in which the scenario may change abruptly.
             elif interval < len(column.edges) - 2:
                 high[number] = np.nextafter(high[number], 0.0)
         unused = ~self._cube.used(start[None])[0]

@@ -17,9 +17,10 @@ from safety_harness.search.cube import Cube, Point, Points, Scores
 from safety_harness.search.sampling import Explorer
 from safety_harness.search.search import least
 
-_EXPLORING = 1.0 / 3.0
+_EXPLORING = 1.0 / 3.0  # fraction of the points; a choice
+# Standard deviations: in each coordinate, and along the line as a fraction of its length.  A choice.
 _STEP, _ALONG = 0.05, 0.2
-_FIRST = 64
+_FIRST = 64  # points that explore before the first variation; a choice
 
 
 @dataclass(eq=False)
@@ -30,7 +31,9 @@ class _Elite:
 
 
 class Diverse:
-    """The searcher that fills empty cells; without cells, alternatives and the nearest claim define them.
+    """The searcher that fills empty cells.
+
+    If runs have no cells, the alternatives of a point and its nearest claim define the cell.
 
     Args:
         cube: The cube of the space.
@@ -49,7 +52,10 @@ class Diverse:
         self._proposed = 0
 
     def propose(self, count: int) -> Points:
-        """Return ``count`` points (count, d): on average a third explore, and the others vary elites."""
+        """Return ``count`` points (count, d).
+
+        On average, a third of the points explore, and the other points vary elites.
+        """
         exploring = count
         if self._proposed >= _FIRST and self._elites:
             exploring = int(self._rng.binomial(count, _EXPLORING))
@@ -62,6 +68,7 @@ class Diverse:
         elites = list(self._elites.values())
         if count == 0:
             return np.empty((0, self._cube.dimension))
+        # Elites of seldom visited cells have a larger weight, because near them are more likely empty cells.
         weight = 1.0 / np.sqrt([elite.visits for elite in elites])
         parents = self._rng.choice(len(elites), size=(count, 2), p=weight / weight.sum())
         points = np.array([elite.point for elite in elites])
@@ -72,7 +79,7 @@ class Diverse:
         return varied
 
     def learn(self, points: Points, scores: Scores, cells: Sequence[Hashable]) -> None:
-        """Keep each point that comes nearer to a violation than the present elite of its cell."""
+        """Make a point the elite of its cell if it comes nearer to a violation than the present elite."""
         lowest = least(scores)
         alternatives = self._cube.canonical(points)[:, self._cube.flat_columns]
         nearest = np.where(np.isnan(scores), np.inf, scores).argmin(axis=1)

@@ -1,7 +1,7 @@
-"""The interface between a search and a world, and the findings of a search.
+"""Define the interface between a search and a world, and the findings of a search.
 
-A searched claim is a ``Goal``, and running a batch of points gives ``Outcomes``. ``Findings`` keeps distinct
-violations, the run nearest to violating each claim, and the refused points.
+Each claim of a search is a ``Goal``, and each batch of points results in ``Outcomes``. ``Findings`` has the
+distinct violations, the refused points and, for each claim, the run that comes nearest to a violation.
 """
 
 from __future__ import annotations
@@ -23,10 +23,11 @@ RUN_FAILED = "the run failed: "  # the beginning of a run error's text, if the w
 
 @dataclass(frozen=True)
 class Goal:
-    """A claim that a search tries to refute; its score is the margin divided by ``scale`` (SI).
+    """A claim that a search tries to refute.
 
-    With a reference, whose name is ``against``, the margins are the differences of ``search.against``. Only
-    negative differences are shown to people.
+    The score of the claim is the margin divided by ``scale`` (SI). If there is a reference, its name is
+    ``against``, and differences from ``search.against`` replace the margins. Users see only negative
+    differences.
     """
 
     sentence: str
@@ -36,11 +37,13 @@ class Goal:
 
     @classmethod
     def from_property(cls, prop: Property, against: str = "") -> Goal:
-        """Return the goal of a property, with the scale of its unit.
+        """Return the goal to refute a property.
+
+        The goal has the scale of the property's unit.
 
         Args:
             prop: The property.
-            against: The reference's name; empty without one.
+            against: The name of the reference, or an empty text if there is no reference.
 
         """
         return cls(prop.sentence, SCALES[prop.unit], prop.unit, against)
@@ -48,19 +51,23 @@ class Goal:
     of = from_property  # deprecated: the old name, for one release
 
     def margin_text(self, margin: float) -> str:
-        """Return ``margin`` [SI] as text in its display unit; a dash for a difference that is no finding."""
+        """Return ``margin`` [SI] as text in its display unit.
+
+        A difference that is no finding becomes a dash.
+        """
         return "-" if self.against and margin >= 0.0 else self.unit.margin_text(margin)
 
 
 @dataclass(frozen=True, eq=False)
 class Outcomes:
-    """The outcomes of (n, d) points, row by row.
+    """The outcomes of n points, with a row for each point.
 
-    ``margins`` (n, k) [SI] are negative where a claim is violated, and NaN where unknown. ``conclusive`` (n,
-    k) tells whether the claim has a verdict; a margin without a verdict only guides the search. ``refused``
-    gives the reason why admission refused each point, or an empty text. ``mishaps`` gives each point's run
-    error (an avoider without an answer, or a failed run), or an empty text. ``kinds`` distinguishes
-    violations with different causes. ``cells`` are the runs' cells in the coverage.
+    ``margins`` (n, k) [SI] has the margin of each claim at each point. A margin is negative if the claim is
+    violated, and NaN if the margin is unknown. ``conclusive`` (n, k) states whether the claim has a verdict.
+    A margin without a verdict only guides the search. ``refused`` gives the reason why admission refused each
+    point, or an empty text. ``mishaps`` gives the run error of each point, or an empty text if there was no
+    error. A run error is an avoider without an answer, or a failed run. ``kinds`` distinguishes violations
+    with different causes. ``cells`` are the runs' cells in the coverage.
     """
 
     margins: Scores
@@ -72,21 +79,24 @@ class Outcomes:
 
     @classmethod
     def of_margins(cls, margins: Scores) -> Outcomes:
-        """Return the outcomes of points that were all run, if only their ``margins`` are known."""
+        """Return the outcomes of points of which only the ``margins`` are known.
+
+        All points are treated as points that ran.
+        """
         none = ("",) * len(margins)
         return cls(margins, np.isfinite(margins), none, none, none, (None,) * len(margins))
 
 
 class Evaluate(Protocol):
-    """A function that runs points in a world and returns their outcomes."""
+    """A function that runs points in a world and returns the outcomes of the points."""
 
     def __call__(self, points: Points, first: int) -> Outcomes:
         """Return the outcomes of points (n, d) of the cube.
 
         Args:
             points: The points.
-            first: The number of the first point within the whole search; the points' numbers determine the
-                seeds.
+            first: The number of the first point within the whole search. The numbers of the points determine
+                the seeds.
 
         """
 
@@ -98,7 +108,11 @@ _MOST_GROUPS = 200  # of one claim; then a further violation joins the nearest g
 
 @dataclass(frozen=True, eq=False)
 class TriedPoint:
-    """A tried ``point`` (d,), its ``number`` among all points of the search, and ``margins`` (k,) in SI."""
+    """A point that the search tried.
+
+    The object has the coordinates ``point`` (d,), the ``number`` among all points of the search, and the
+    ``margins`` (k,) in SI.
+    """
 
     number: int
     point: Point
@@ -107,11 +121,11 @@ class TriedPoint:
 
 @dataclass(eq=False)
 class Group:
-    """Similar violations of one claim, or similar run errors (``claim`` is None).
+    """A group of similar violations of one claim, or a group of similar run errors if ``claim`` is None.
 
-    The violations of a group share their kind and the space's alternatives, and lie near ``first`` in the
-    cube. Run errors may lie anywhere. ``others`` holds a few further run errors, in case the confirming world
-    does not show the first.
+    The violations of a group have the same kind and the same alternatives, and lie near ``first`` in the
+    cube. A run error may occur anywhere in the cube. ``others`` holds a few more run errors. They are used if
+    the confirming world does not show the first error.
     """
 
     claim: int | None
@@ -123,7 +137,7 @@ class Group:
     others: list[TriedPoint] = field(default_factory=list)
 
     def worst_margin(self) -> float:
-        """Return the worst margin [SI]; NaN for a run error."""
+        """Return the worst margin [SI], or NaN for a run error."""
         return float("nan") if self.claim is None else float(self.worst.margins[self.claim])
 
 
@@ -131,11 +145,12 @@ class Group:
 class Findings:
     """The findings of one search, which grow while it runs.
 
-    ``tried`` counts the points that were run, and ``asked`` also those that admission refused. ``evidence``
-    (k,) counts the runs with a verdict on each claim, and ``violated`` (k,) those that violate it.
-    ``nearest`` holds for each claim the run with the least margin. ``improvements`` lists each claim's least
-    margins [SI] so far, with the number of runs. ``first_violation`` (k,) is the number of runs up to each
-    claim's first violation, or 0 without one.
+    ``tried`` counts the points that were run. ``asked`` also counts the points that admission refused.
+    ``evidence`` (k,) counts the runs with a verdict on each claim, and ``violated`` (k,) counts the runs that
+    violate it. ``nearest`` holds the run with the least margin for each claim. Whenever a run lowers the
+    least margin [SI] of a claim, ``improvements`` stores this margin and the number of runs so far.
+    ``first_violation`` (k,) is the number of runs up to each claim's first violation, or 0 if there is no
+    violation.
     """
 
     goals: tuple[Goal, ...]
@@ -163,20 +178,25 @@ class Findings:
     found = found_any  # deprecated: the old name, for one release
 
     def of_claim(self, claim: int | None) -> list[Group]:
-        """Return the groups of ``claim``, or of run errors (None), worst first."""
+        """Return the groups of violations of ``claim``, or the groups of run errors if ``claim`` is None.
+
+        The worst group comes first.
+        """
         groups = [group for group in self.groups if group.claim == claim]
         return sorted(groups, key=lambda group: (group.worst_margin(), group.first.number))
 
     def sentence_of(self, group: Group) -> str:
-        """Return the claim or the run error of a group, in words."""
+        """Return a text that states the claim or the run error of a group."""
         return group.kind if group.claim is None else self.goals[group.claim].sentence
 
     def always_violated(self, claim: int, least: int = 20) -> bool:
-        """Return whether every run violated ``claim``, so that the claim or the whole space is at fault.
+        """Return whether every run violated ``claim``.
+
+        If so, the claim or the whole space is probably wrong.
 
         Args:
             claim: The claim's number.
-            least: The least number of runs for which the result can be True.
+            least: If fewer runs were made, the result is False.
 
         """
         return bool(self.tried >= least and self.violated[claim] == self.tried)
@@ -216,7 +236,7 @@ class Findings:
                 self._join(None, outcomes.mishaps[k], episode, canonical[k])
 
     def _keep_nearest(self, episode: TriedPoint) -> None:
-        """Keep ``episode`` as the nearest of each claim for which no earlier run has a smaller margin."""
+        """For each claim, store ``episode`` as the nearest run if its margin is the least so far."""
         for claim, margin in enumerate(episode.margins):
             best = self.nearest[claim]
             if np.isfinite(margin) and (best is None or margin < best.margins[claim]):

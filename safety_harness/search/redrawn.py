@@ -1,7 +1,8 @@
-"""Draw differences from a reference again, to find which the avoider causes, and which flip near a limit.
+"""Use new seeds to repeat the runs that differ from a reference.
 
-A search chooses its runs. Even if both avoiders are equally good, it finds the runs in which chance was
-against the avoider under test. So this module runs every difference again with seeds that no search chose.
+The repetitions show which differences the avoider causes, and which occur by chance near a limit. A search
+chooses its runs. Even if two avoiders are equally good, a search finds the runs in which the avoider under
+test was worse by chance. This module therefore repeats every difference with seeds that no search chose.
 """
 
 from __future__ import annotations
@@ -38,26 +39,28 @@ _Pairs = NDArray[np.float64]  # (n, 2) by how much only the avoider, and only th
 
 
 def keep_differences(trials: Trials, findings: Findings, draw: Callable[[], Trials]) -> list[str]:
-    """Remove from ``findings`` the groups that show no real difference, and return lines on them.
+    """Remove from ``findings`` each group that shows no real difference, and return lines on these groups.
 
-    Of two equally good avoiders, each is worse than the other in some runs, and a search finds these. So the
-    groups of a claim stay only if the avoider is significantly worse in pairs that no search chose. A pair
-    has one run with the avoider and one with the reference; the test is an exact sign test. There are two
-    ways to be worse:
+    Even if two avoiders are equally good, each is worse in some runs, and a search finds such runs. Therefore
+    the groups of a claim stay only if the avoider is significantly worse in pairs that no search chose. A
+    pair consists of a run with the avoider and a run with the reference. The test is an exact sign test. An
+    avoider can be worse in two ways:
 
-    - By much: the test counts only pairs that differ by more than the scale of the unit.  They come from new
-      draws of the groups' worst points, and from ``draw``, which draws anywhere in the space.  Shares and
-      counts of decisions cannot be worse by much.
-    - Often: the test counts only the pairs from ``draw``.  The share of them in which the avoider is worse
-      must exceed the share in which it is better by ``OFTEN``.
+    - Much worse: the test counts only pairs whose difference is greater than the scale of the unit. These
+      pairs come from new draws of the groups' worst points, and from ``draw``, which draws points anywhere in
+      the space. An avoider cannot be much worse in claims about fractions or counts of decisions.
+    - Often worse: the test counts only the pairs from ``draw``. The avoider is worse in one fraction of the
+      pairs and better in another fraction. The first fraction must exceed the second fraction by more than
+      ``OFTEN``.
 
-    For such a claim, a group stays if the avoider is worse in its own pairs; without such a group, all groups
-    stay.
+    If the avoider is significantly worse, a group stays only if the avoider is worse in the group's own
+    pairs. If no group meets this condition, all groups stay.
 
     Args:
-        trials: The trials of the search; without a reference, the function changes nothing.
-        findings: The findings; the function removes groups from them.
-        draw: The function that runs trials anywhere in the space; it is called only if there is a group.
+        trials: The trials of the search. If they have no reference, the findings stay unchanged.
+        findings: The findings, from which the function removes groups.
+        draw: The function that runs trials anywhere in the space. If there is no group, this function is not
+            called.
 
     """
     if trials.reference is None:
@@ -106,11 +109,11 @@ def keep_differences(trials: Trials, findings: Findings, draw: Callable[[], Tria
 
 
 def more_overruled(trials: Trials, draw: Callable[[], Trials]) -> list[str]:
-    """Return a sentence if the gate refuses more of the avoider's proposals than of the reference's.
+    """Return a sentence if the gate refuses more proposals of the avoider than of the reference.
 
-    Proposals that the gate refuses for their spread alone do not count, because a larger spread is cautious.
-    The result depends on runs anywhere in the space, with the limits ``SELDOM`` and ``OFTEN``. They are drawn
-    only if the gate refuses more in the runs of the search.
+    If the gate refuses a proposal only because of its spread, the refusal is ignored, because a larger spread
+    is cautious. The test uses runs anywhere in the space and the limits ``SELDOM`` and ``OFTEN``. These runs
+    are drawn only if the gate refuses more proposals of the avoider in the runs of the search.
 
     Args:
         trials: The trials of the search.
@@ -131,10 +134,11 @@ def more_overruled(trials: Trials, draw: Callable[[], Trials]) -> list[str]:
 
 
 def worse_answers(trials: Trials, draw: Callable[[], Trials]) -> list[str]:
-    """Return sentences on errors that the avoider makes more often than the reference, and on slower answers.
+    """Return sentences on errors and slow answers of the avoider, compared with the reference.
 
-    Of each pair of runs, only the last question that both share counts. As for overruling, runs anywhere in
-    the space decide, and they are drawn only if the runs of the search show an error.
+    There is a sentence if the avoider makes an error more often than the reference, or if it answers later.
+    The function compares the answers to the last query that both runs of a pair share. Errors are counted in
+    runs anywhere in the space. Such runs are drawn only if the runs of the search show an error.
 
     Args:
         trials: The trials of the search.
@@ -157,7 +161,7 @@ def worse_answers(trials: Trials, draw: Callable[[], Trials]) -> list[str]:
 
 
 def _more_errors(pairs: Sequence[PartingAnswers], reference: str, chance: float) -> list[str]:
-    """Return the sentences of ``more_often_wrong`` about the last shared question of each pair."""
+    """Return the sentences of ``more_often_wrong`` about the last shared query of each pair."""
     if not pairs:
         return []
     settings = [pair.settings for pair in pairs]
@@ -167,7 +171,10 @@ def _more_errors(pairs: Sequence[PartingAnswers], reference: str, chance: float)
 
 
 def _posed(decisions: NDArray[np.void], settings: Sequence[Settings]) -> PosedAnswers:
-    """Return the questions and answers of ``decisions`` (n,), with the optima by the settings of each."""
+    """Return the queries and answers of ``decisions`` (n,).
+
+    The optimum of each decision is computed with the settings of that decision.
+    """
     hands, tcps = decisions["hand_position_in_base_m"], decisions["tcp_position_in_base_m"]
     optima = [optimum_in_base_m(own, hands[k : k + 1], tcps[k : k + 1]) for k, own in enumerate(settings)]
     proposed, spreads = decisions["proposed_position_in_base_m"], decisions["proposed_spread_m"]
@@ -177,30 +184,48 @@ def _posed(decisions: NDArray[np.void], settings: Sequence[Settings]) -> PosedAn
 
 
 def _refused(runs: Sequence[RunDifference]) -> tuple[int, int]:
-    """Return in how many runs more checks fail per proposal, spread aside, and in how many runs fewer."""
+    """Return two numbers of runs.
+
+    The first number counts the runs in which more checks fail per proposal than with the reference. The
+    second number counts the runs in which fewer checks fail. Checks of the spread are ignored.
+    """
     shares = np.array([run.more_refused for run in runs])
     return int((shares > 0.0).sum()), int((shares < 0.0).sum())
 
 
 def _lost(pairs: Iterable[tuple[Evaluation, Evaluation]]) -> _Pairs:
-    """Return (n, 2) by how much only the avoider, and only the reference, violates the claim in each pair."""
+    """Return by how much one avoider violates the claim in each pair, while the other avoider keeps it.
+
+    The shape is (n, 2). The first column is for violations of the avoider, and the second column is for
+    violations of the reference.
+    """
     return -np.array([(difference_of(*pair), difference_of(*pair[::-1])) for pair in pairs]).reshape(-1, 2)
 
 
 def _alone(pairs: _Pairs, least: float = 0.0) -> tuple[int, int]:
-    """Return in how many ``pairs`` only the avoider, and only the reference, violates by over ``least``."""
+    """Return two numbers of pairs.
+
+    The first number counts the ``pairs`` in which only the avoider violates the claim by more than ``least``.
+    The second number counts the ``pairs`` in which only the reference does so.
+    """
     worse, better = (pairs > least).sum(axis=0).tolist()
     return worse, better
 
 
 def _is_near(claim: ClaimDifference) -> bool:
-    """Return whether only the avoider violates ``claim``, and the reference keeps it within the tolerance."""
+    """Return whether the avoider violates ``claim`` and the reference keeps it only by a small margin.
+
+    A margin is small if it is less than the tolerance.
+    """
     differs = difference_of(claim.mine, claim.reference) < 0.0
     return claim.change is VerdictChange.NEW and claim.reference.verdict is Verdict.HOLDS and not differs
 
 
 def _redrawn(trials: Trials, admitter: Admitter, group: Group, claim: int, draws: int) -> _Pairs:
-    """Return ``_lost`` of ``draws`` pairs of runs at the group's worst point, each with a new seed."""
+    """Return the result of ``_lost`` for ``draws`` new pairs of runs at the worst point of ``group``.
+
+    Each pair has its own seed.
+    """
     assert trials.reference is not None
     admitted: list[Admitted] = []
     for draw in range(draws):

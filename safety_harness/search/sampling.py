@@ -1,4 +1,4 @@
-"""Searchers whose points do not depend on scores: uniform sampling, quasi-random sequences, exploration."""
+"""Define searchers that ignore scores: uniform sampling, quasi-random sequences and exploration."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ from safety_harness.search.cube import Cube, Points, Scores
 
 
 class UniformSampling:
-    """A searcher by independent points of the space's own distribution: the baseline of every search."""
+    """A searcher that draws independent points from the space's own distribution.
+
+    Uniform sampling is the baseline of every search.
+    """
 
     name = "uniform"
 
@@ -32,7 +35,10 @@ class UniformSampling:
 
 
 class QuasiRandom:
-    """A searcher by a scrambled Sobol sequence, which fills any few coordinates more evenly than chance."""
+    """A searcher that uses a scrambled Sobol sequence.
+
+    In any few coordinates, the points of a Sobol sequence are distributed more evenly than random points.
+    """
 
     name = "quasi-random"
 
@@ -57,15 +63,17 @@ _AT_ENDS, _UNTIL = 1.0 / 3.0, 400.0  # a third of the first 400 points; then the
 
 
 class Explorer:
-    """An endless sequence of points for faults to which no margin leads.
+    """An endless sequence of points that can find faults to which no margin leads.
 
     There are three kinds of points. The first kind follows the space's own distribution. The second kind is
-    *even*: all alternatives and repetitions are equally likely, however improbable the space makes them. The
-    third kind is *at the ends*: even, but with a random share of coordinates at an end of their interval.
-    There, mistakes in ranges, masks and comparisons show.
+    called *even*. For these points, all alternatives and repetitions have the same probability, even if they
+    are improbable in the space. The third kind is called *at the ends*. These points are also even, but a
+    random fraction of the coordinates of each point lies at an end of an interval. Such points reveal
+    mistakes in ranges, masks and comparisons.
 
-    There are few ends, so a search soon finds a fault at one of them. At first a third of the points are at
-    the ends, and later ever fewer. The other points alternate between the first two kinds.
+    There are few ends, so that a search soon finds a fault at an end. Initially, a third of the points are at
+    the ends. This fraction decreases during the search. The other points alternate between the first two
+    kinds.
 
     Args:
         cube: The cube of the space.
@@ -91,7 +99,7 @@ class Explorer:
         return points
 
     def _evened(self, points: Points) -> Points:
-        """Return ``points`` moved so that all intervals of a coordinate are equally likely."""
+        """Move ``points`` so that all intervals of a coordinate are equally likely, and return them."""
         for number, column in enumerate(self._cube.columns):
             edges = np.array(column.edges)
             count = len(edges) - 1
@@ -102,7 +110,10 @@ class Explorer:
         return np.clip(points, 0.0, 1.0)
 
     def _at_ends(self, points: Points) -> Points:
-        """Return ``points`` with a random share of each point's coordinates at an end of their interval."""
+        """Return ``points`` with some coordinates at an end of their interval.
+
+        The fraction of these coordinates is random for each point.
+        """
         share = self._rng.random(len(points))  # of the coordinates, drawn for each point
         for number, column in enumerate(self._cube.columns):
             if column.flat:
@@ -111,6 +122,7 @@ class Explorer:
             upper = self._rng.random(len(points)) < 0.5
             edges = np.array(column.edges)
             interval = column.interval_of(points[:, number])
+            # The upper edge itself belongs to the next interval, except in the last one.
             end = np.where(upper, np.nextafter(edges[interval + 1], 0.0), edges[interval])
             end[upper & (interval == len(edges) - 2)] = 1.0
             points[:, number] = np.where(chosen, end, points[:, number])
@@ -118,7 +130,10 @@ class Explorer:
 
 
 def _points_at_ends(number: NDArray[np.int64]) -> Points:
-    """Return how many (n,) of the first ``number`` (n,) points are at the ends."""
+    """Return how many of the first ``number`` points are at the ends.
+
+    ``number`` and the result have the shape (n,).
+    """
     first = np.minimum(number, _UNTIL)
     at_ends: Points = _AT_ENDS * (first + _UNTIL * log(np.maximum(number, _UNTIL) / _UNTIL))
     return at_ends

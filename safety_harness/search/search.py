@@ -1,6 +1,7 @@
-"""The loop of a search: ask for points, run them, tell the searcher their scores, and keep the findings.
+"""Define the loop of a search.
 
-The loop uses every searcher through ``AskTell``, which enforces the order of ``ask`` and ``tell``.
+The loop asks the searcher for points, runs the points, reports their scores to the searcher, and stores the
+findings. It uses every searcher through ``AskTell``, which checks that ``ask`` and ``tell_scores`` alternate.
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ from safety_harness.search.findings import Evaluate, Findings, Goal
 class Searcher(Protocol):
     """A source of points of the unit cube that learns from their scores.
 
-    A score is a margin divided by its scale: negative if the claim is violated, NaN if unknown. ``learn``
-    receives all points of the last proposal. With the same seed and the same scores, a searcher proposes the
-    same points.
+    A score is a margin divided by its scale. A score is negative if the claim is violated, and NaN if the
+    margin is unknown. The method ``learn`` receives all points that the searcher proposed last. With the same
+    seed and the same scores, a searcher proposes the same points.
     """
 
     @property
@@ -29,21 +30,23 @@ class Searcher(Protocol):
         """The searcher's name on the command line and in reports."""
 
     def propose(self, count: int) -> Points:
-        """Return points (m, d) of the unit cube, 1 <= m <= ``count``."""
+        """Return m points (m, d) of the unit cube, with 1 <= m <= ``count``."""
 
     def learn(self, points: Points, scores: Scores, cells: Sequence[Hashable]) -> None:
-        """Learn the scores of the points proposed last.
+        """Learn the scores of the points that the searcher proposed last.
 
         Args:
             points: (m, d) the points.
             scores: (m, k) their scores.
-            cells: Their cells of the coverage; None for a run without a cell.
+            cells: The cells of the points in the coverage. A run without a cell has None.
 
         """
 
 
 class AskTell:
-    """A searcher in use, whose ``ask`` and ``tell_scores`` must be called in turns.
+    """A wrapper of a searcher, which checks the order and the arguments of the calls.
+
+    The methods ``ask`` and ``tell_scores`` must be called alternately.
 
     Args:
         searcher: The searcher.
@@ -62,10 +65,13 @@ class AskTell:
         self._asked: Points | None = None
 
     def ask(self, count: int) -> Points:
-        """Return points (m, d) to try, 1 <= m <= ``count``; the array is read-only.
+        """Return m points (m, d) to try, with 1 <= m <= ``count``.
+
+        The array is read-only.
 
         Raises:
-            SearchOrderError: It is not the turn of ``ask``, or the searcher proposes no valid points.
+            SearchOrderError: ``ask`` was called twice without ``tell_scores``, ``count`` is below 1, or the
+                searcher proposes invalid points.
 
         """
         if self._asked is not None:
@@ -80,6 +86,7 @@ class AskTell:
             raise SearchOrderError(
                 f"{self.name} proposed no 1 to {count} points of a unit cube of {self._dimension} coordinates"
             )
+        # The searcher also receives these points with their scores, so nobody may change them in between.
         points.setflags(write=False)
         self._asked = points
         return points
@@ -88,11 +95,11 @@ class AskTell:
         """Give the searcher the scores of the points that ``ask`` returned last.
 
         Args:
-            scores: (m, k) scores, NaN where unknown.
-            cells: The cells of the coverage; None: no cells.
+            scores: (m, k) the scores. An unknown score is NaN.
+            cells: The cells of the coverage. The default is that no point has a cell.
 
         Raises:
-            SearchOrderError: It is not the turn of ``tell_scores``, or an array has a wrong shape.
+            SearchOrderError: ``tell_scores`` was called without ``ask``, or an array has a wrong shape.
 
         """
         if self._asked is None:
@@ -110,7 +117,10 @@ class AskTell:
 
 
 def least(scores: Scores) -> NDArray[np.float64]:
-    """Return the least score (n,) of each row of ``scores`` (n, k); +inf for a row without a score."""
+    """Return the least score in each row of ``scores`` (n, k), shape (n,).
+
+    If a row has no score, the result for this row is +inf.
+    """
     lowest: NDArray[np.float64] = np.where(np.isnan(scores), np.inf, scores).min(axis=1)
     return lowest
 
@@ -132,17 +142,17 @@ def find_violations(
 ) -> Findings:
     """Search ``cube`` for violations of ``goals``.
 
-    Ctrl-C ends the search early, and the findings so far are returned.
+    Ctrl-C ends the search early, and the function then returns the findings so far.
 
     Args:
         cube: The unit cube of the space.
         goals: The claims to refute.
         evaluate: The function that runs points and returns their outcomes.
         searcher: The searcher that proposes the points.
-        budget: The number of points to try; points that admission refuses do not count.
-        batch: The greatest number of points that run together.
-        on_progress: Receives the findings after each batch.
-        enough: A function of the findings that ends the search early by returning True.
+        budget: The number of points to try. Points that admission refuses are not included in this number.
+        batch: The greatest number of points that run in one batch.
+        on_progress: A function that receives the findings after each batch.
+        enough: A function that receives the findings. If it returns True, the search ends early.
 
     Returns:
         The findings.

@@ -39,7 +39,10 @@ SEARCHERS: tuple[MakesSearcher, ...] = (
 
 
 def searcher_named(name: str) -> MakesSearcher:
-    """Return the factory of searcher ``name``; raise ScenarioError with all names if it is unknown."""
+    """Return the factory of searcher ``name``.
+
+    Raise ScenarioError, which lists all names, if ``name`` is unknown.
+    """
     for make in SEARCHERS:
         if make.name == name:
             return make

@@ -1,9 +1,10 @@
-"""Shrink a scenario that violates a claim to a simple one that still violates it.
+"""Simplify a scenario that violates a claim, so that the simple scenario still violates the claim.
 
-A simpler scenario lacks a part, or its numbers are slower, shorter, nearer to their defaults or rounder.
-Shrinking first halves the run as often as possible, because shorter runs are quicker. Then it removes parts
-and simplifies numbers. It repeats these steps until a whole round changes nothing, so shrinking the result
-again returns the same scenario. Shrinking uses no random numbers, and ``budget`` limits its runs.
+A scenario is simpler if it lacks a part, if its motions are slower or shorter, or if its numbers are rounder
+or nearer to their defaults. Shrinking first halves the run as often as possible, because shorter runs are
+quicker. Then shrinking removes parts and simplifies numbers. Shrinking repeats these steps until a whole
+round makes no change. Therefore, shrinking the result again returns the same scenario. Shrinking uses no
+random numbers, and ``budget`` limits its runs.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ LEAST_S, LEAST_MPS = 0.1, 0.1  # one step of the grid below: a smaller target wo
 
 _NOWHERE = (0.0, 0.0, 0.0)
 _DEGREE = math.radians(1.0)
+# The step between round numbers [SI], by the suffix of a number's unit.
 _STEPS = {"_mps2": 1.0, "_mps": 0.1, "_rad": _DEGREE, "_s": 0.1, "_m": 0.01, "_factor": 0.1}
 _UNCHANGED = {"shift_in_base_m": _NOWHERE, "delay_s": 0.0}
 _SPEEDS = {"max_speed_mps": REACHING_MPS, "max_acceleration_mps2": REACHING_MPS2}
@@ -50,7 +52,10 @@ T = TypeVar("T")
 
 
 def simpler(scenario: Scenario) -> Iterator[tuple[str, Scenario]]:
-    """Yield a description of each removable part with ``scenario`` without it, the largest part first."""
+    """Yield a pair for each removable part: its description, and ``scenario`` without the part.
+
+    Large parts come first.
+    """
     for k in range(len(scenario.faults)):
         yield f"without fault {k + 1}", replace(scenario, faults=_without(scenario.faults, k))
     if len(scenario.hands) > 0:
@@ -74,7 +79,10 @@ def simpler(scenario: Scenario) -> Iterator[tuple[str, Scenario]]:
 
 
 def _fewer_moves(scenario: Scenario, k: int, hand: MovingHand) -> Iterator[tuple[str, Scenario]]:
-    """Yield the scenario without the later half of the moves, then without single moves, last to first."""
+    """Yield the scenario with fewer moves.
+
+    The first scenario lacks the second half of the moves. Each further scenario lacks a single move.
+    """
     path, count = ("hands", k, "moves"), len(hand.moves)
     if count > 2:
         half = hand.moves[: count // 2]
@@ -85,7 +93,11 @@ def _fewer_moves(scenario: Scenario, k: int, hand: MovingHand) -> Iterator[tuple
 
 
 def _of_settings(scenario: Scenario) -> Iterator[tuple[str, Scenario]]:
-    """Yield the scenario with all settings at their defaults, then with one group, then with one setting."""
+    """Yield the scenario with default settings.
+
+    The first scenario has all settings at their defaults. In each further scenario, only one group or one
+    setting has its default.
+    """
     if scenario.settings == DEFAULTS:
         return
     yield "with default settings", replace(scenario, settings=DEFAULTS)
@@ -111,7 +123,7 @@ def _hands_and_moves(scenario: Scenario) -> Iterator[Path]:
 
 
 def _part_name(scenario: Scenario, path: Path) -> str:
-    """Return the name in words of the scenario's part at ``path``."""
+    """Describe in words the part of the scenario at ``path``."""
     part = str(path[-1]).rsplit("_in_", 1)[0]
     for suffix in ("_mps2", "_mps", "_rad", "_s", "_m"):
         part = part.removesuffix(suffix)
@@ -121,15 +133,16 @@ def _part_name(scenario: Scenario, path: Path) -> str:
 
 
 def _without(members: tuple[T, ...], k: int) -> tuple[T, ...]:
-    """Return ``members`` without number ``k``."""
+    """Return ``members`` without the member at index ``k``."""
     return members[:k] + members[k + 1 :]
 
 
 @dataclass(frozen=True)
 class ShrinkTarget:
-    """One number of a scenario: its path, its simplest value ``target``, and the step between round numbers.
+    """One number of a scenario that shrinking simplifies.
 
-    If ``target`` is None, the number is only rounded.
+    The object has the path of the number, its simplest value ``target``, and the ``step`` between round
+    numbers. If ``target`` is None, the number is only rounded.
     """
 
     path: Path
@@ -137,7 +150,10 @@ class ShrinkTarget:
     step: float
 
     def on(self, level: int) -> Callable[[int], float]:
-        """Return a function from k to round number k of ``level``; each level divides the step by ten."""
+        """Return a function that maps the integer k to the k-th round number of ``level``.
+
+        Each further level divides the step by ten.
+        """
         parts = 10**level
         if self.step == _DEGREE:
             return lambda k: math.radians(k / parts)
@@ -145,11 +161,17 @@ class ShrinkTarget:
         return lambda k: k / whole
 
     def place_of(self, value: float, level: int) -> float:
-        """Return the fractional k at which ``value`` lies among the round numbers of ``level``."""
+        """Return the index k of ``value`` in the list of the round numbers of ``level``.
+
+        Between two round numbers, k is a fraction.
+        """
         return value / self.step * int(10**level)
 
     def level_of(self, value: float) -> int:
-        """Return the coarsest level on which ``value`` is a round number; FINER if there is no such level."""
+        """Return the coarsest level on which ``value`` is a round number.
+
+        The result FINER means that the number is not round on any level.
+        """
         for level in range(FINER):
             if self.on(level)(round(self.place_of(value, level))) == value:
                 return level
@@ -157,7 +179,10 @@ class ShrinkTarget:
 
 
 def shrink_targets(scenario: Scenario) -> Iterator[ShrinkTarget]:
-    """Yield every number to simplify; numbers that shorten the run come first."""
+    """Yield every number that shrinking may simplify.
+
+    Numbers that shorten the run come first.
+    """
     cell, avoidance = scenario.settings.cell, scenario.settings.avoidance
     yield from _below(scenario, (), {"duration_s": LEAST_S})
     start = {
@@ -190,7 +215,7 @@ def shrink_targets(scenario: Scenario) -> Iterator[ShrinkTarget]:
 
 
 def _below(scenario: Scenario, at: Path, targets: Mapping[str, Any]) -> Iterator[ShrinkTarget]:
-    """Yield every number of ``targets`` below the path ``at`` as a ``ShrinkTarget``."""
+    """Yield a ``ShrinkTarget`` for every number of ``targets`` that exists below the path ``at``."""
     for name, target in targets.items():
         for path, value in leaves(getattr(value_at(scenario, at), name, None), (*at, name)):
             if isinstance(value, float):
@@ -207,8 +232,9 @@ Violates = Callable[[Scenario], bool]
 class Shrunk:
     """A shrunk scenario that violates the claim.
 
-    ``steps`` describes the accepted simplifications, and ``used`` is the number of runs. ``settled`` tells
-    that no simpler candidate violates; it is False if the budget or Ctrl-C ended the shrinking.
+    ``steps`` describes the accepted simplifications, and ``used`` is the number of runs. ``settled`` states
+    that no simpler candidate violates the claim. ``settled`` is False if the budget or Ctrl-C ended the
+    shrinking.
     """
 
     scenario: Scenario
@@ -219,24 +245,28 @@ class Shrunk:
 
     @property
     def done(self) -> bool:
-        """Whether the scenario became simpler, or cannot become simpler."""
+        """Whether the scenario became simpler, or whether it cannot become simpler."""
         return self.settled or bool(self.steps)
 
     @property
     def summary(self) -> str:
-        """Words that tell whether the scenario was shrunk, and in how many runs."""
+        """A phrase that states whether the scenario was shrunk, and in how many runs."""
         shrunk = f"shrunk in {self.used} runs" + ("" if self.settled else ", not to the end")
         return shrunk if self.done else "not shrunk"
 
 
 class SpentError(Exception):
-    """The error that ends shrinking when the budget is spent; ``violates`` may raise it too."""
+    """The error that ends shrinking when the budget is used up.
+
+    The function ``violates`` may also raise this error.
+    """
 
 
 def shrink(scenario: Scenario, violates: Violates, *, budget: int) -> Shrunk:
-    """Shrink a violating scenario until nothing simpler violates, or the budget or Ctrl-C ends it.
+    """Shrink a violating scenario until no simpler candidate violates the claim.
 
-    A candidate that cannot be written to a file and read back is never run.
+    The budget or Ctrl-C may end the shrinking earlier. A candidate that cannot be written to a file and read
+    back is never run.
 
     Args:
         scenario: A scenario that violates the claim.
@@ -274,7 +304,9 @@ class _Shrinking:
     def one_round(self) -> bool:
         """Run one round, and return whether the scenario became simpler."""
         count_before, number = len(self.steps), 0
+        # A shorter run makes all later candidates cheaper, so the duration comes first.
         self._halve()
+        # After a simplification, the candidates are listed anew, and the same index stands for the next part.
         while number < len(candidates := list(simpler(self.scenario))):
             if not self._accept(*candidates[number]):
                 number += 1
@@ -291,7 +323,7 @@ class _Shrinking:
                 return
 
     def _turn(self, knob: ShrinkTarget) -> None:
-        """Set the number ``knob`` to its target, or to the round number nearest to it that still violates."""
+        """Set ``knob`` to its target, or to the nearest round number that still violates the claim."""
         value = float(value_at(self.scenario, knob.path))
         if knob.target is not None and (value == knob.target or self._set(knob, knob.target)):
             return
@@ -300,18 +332,22 @@ class _Shrinking:
             self._approach(knob, level)
 
     def _round(self, knob: ShrinkTarget, value: float) -> int:
-        """Round the number ``knob`` to the coarsest level that still violates, and return that level."""
+        """Round ``knob`` to the coarsest level that still violates the claim, and return that level."""
         own = knob.level_of(value)
         falls = knob.target is not None and knob.target < value
         for level in range(own):
             place = knob.place_of(value, level)
+            # Round towards the target first.
             sides = (math.floor(place), math.ceil(place)) if falls else (math.ceil(place), math.floor(place))
             if any(self._set(knob, knob.on(level)(side)) for side in sides):
                 return level
         return own
 
     def _approach(self, knob: ShrinkTarget, level: int) -> None:
-        """Bisect between the target, which does not violate, and the present number, which does."""
+        """Find by bisection a violating number that is close to the target.
+
+        The target does not violate the claim, and the present number does.
+        """
         assert knob.target is not None
         number = knob.on(level)
         safe = round(knob.place_of(knob.target, level))
@@ -324,18 +360,19 @@ class _Shrinking:
                 safe = middle
 
     def _set(self, knob: ShrinkTarget, value: float) -> bool:
-        """Try ``value`` for the number ``knob``, and return whether the scenario still violates."""
+        """Try ``value`` for ``knob``, and return whether the scenario still violates the claim."""
         step = f"{path_text(knob.path)} = {value:.6g}"
         return self._accept(step, with_value(self.scenario, knob.path, value))
 
     def _accept(self, step: str, candidate: Scenario) -> bool:
-        """Replace the scenario by ``candidate``, as read back from its file, if it violates."""
+        """Read ``candidate`` back from its file, and make it the scenario if it violates the claim."""
         if candidate == self.scenario:
             return False
         tree = tree_of(candidate)
         text = text_of(tree)
         if text == write_scenario(self.scenario):  # a file omits the stop times of a user's arm
             return False
+        # A text that did not violate the claim before needs neither reading nor a run.
         read = _read_back(tree, text, candidate) if self._known.get(text, True) else None
         if text not in self._known:
             self._known[text] = read is not None and self._run(read)
@@ -345,7 +382,11 @@ class _Shrinking:
         return self._known[text]
 
     def _run(self, candidate: Scenario) -> bool:
-        """Run a candidate and return whether it violates; raise SpentError if the budget is spent."""
+        """Run a candidate and return whether it violates the claim.
+
+        Raise SpentError if the budget is used up.
+        """
+        # Check before the run, so that a budget of n allows exactly n runs.
         if self.used >= self.budget:
             raise SpentError
         self.used += 1
@@ -353,10 +394,11 @@ class _Shrinking:
 
 
 def _read_back(tree: Tree, text: str, scenario: Scenario) -> Scenario | None:
-    """Return the scenario of a file with ``text``; None if that is no valid file.
+    """Return the scenario in a file with ``text``, or None if this is not a valid file.
 
-    The reader gets the ``tree`` of ``scenario`` and the text, as parsing the text would take longer than the
-    run. Recorded motions are read again from their own files.
+    The result is also None if writing the scenario again would give another text. For speed, the scenario is
+    read from ``tree`` and not from the text, because parsing the text would take longer than the run.
+    Recorded motions are read again from their own files.
     """
     try:
         read = scenario_of(node_of(tree), scenario.file, name=scenario.name)

@@ -1,6 +1,7 @@
-"""Trials: turn points of a space into scenarios, admit and run them in a world, and judge the runs.
+"""Convert points of a space to scenarios, admit and run the scenarios in a world, and judge the runs.
 
-The world is a function from admitted scenarios to traces, so search and confirmation share this code.
+The world is a function from admitted scenarios to traces. Therefore, the search and the confirmation can use
+the same code.
 """
 
 from __future__ import annotations
@@ -59,9 +60,10 @@ from safety_harness.trace.unmeasured import as_measured
 
 
 class PartingAnswers(NamedTuple):
-    """The answers at the last question that a pair of runs shares, as one decision (1,) of each run.
+    """The answers to the last query that both runs of a pair share.
 
-    Both runs are equal until an answer changes what the arm does.
+    Each answer is a decision (1,) of one run. Both runs are equal until an answer leads to different actions
+    of the arm.
     """
 
     mine: NDArray[np.void]
@@ -70,7 +72,7 @@ class PartingAnswers(NamedTuple):
 
     @classmethod
     def of_pair(cls, mine: Trace, theirs: Trace) -> list[PartingAnswers]:
-        """Return the answers; empty if the runs share no question."""
+        """Return the answers, or an empty list if the runs share no query."""
         count = min(len(mine.decisions), len(theirs.decisions))
         ticks, their_ticks = (run.decisions["asked_tick"][:count] for run in (mine, theirs))
         arm_rad = mine.ticks["joint_position_rad"][ticks]
@@ -83,7 +85,10 @@ class PartingAnswers(NamedTuple):
 
 
 class ScenarioRunner(Protocol):
-    """A function that runs admitted scenarios; an Exception stands for a run that could not be finished."""
+    """A function that runs admitted scenarios.
+
+    If a run cannot be finished, the function returns an Exception instead of its trace.
+    """
 
     def __call__(self, admitted: Sequence[Admitted]) -> Sequence[Trace | Exception]:
         """Return one run for each scenario, in their order."""
@@ -91,9 +96,10 @@ class ScenarioRunner(Protocol):
 
 @dataclass(frozen=True)
 class InWorld:
-    """A ScenarioRunner in ``world``; if ``world`` cannot render a run's images, the confirming world runs it.
+    """A ScenarioRunner in ``world``.
 
-    Ctrl-C raises KeyboardInterrupt.
+    If ``world`` cannot render a run's images, the confirming world runs the scenario. Ctrl-C raises
+    KeyboardInterrupt.
     """
 
     world: WorldEntry
@@ -115,7 +121,7 @@ in_pybullet = InWorld(PYBULLET)
 
 
 def world_of(runner: object) -> WorldEntry:
-    """Return the world of a runner, the kinematic one if the runner names none."""
+    """Return the world of a runner, or the kinematic world if the runner has no attribute ``world``."""
     world: WorldEntry = getattr(runner, "world", KINEMATIC)
     return world
 
@@ -128,23 +134,23 @@ in_kinematic = InWorld(KINEMATIC)
 class Trials:
     """The trials of points of ``space`` in ``world``, as an ``Evaluate`` for a search.
 
-    ``avoider`` replaces the space's avoider; a relative path starts at the working directory. ``sentences``
-    replace the space's claims. The trials add the claim "the avoider answered", unless another claim covers
-    it. The search treats claims that the space expects to be violated like all others; ``to_be_found`` names
-    them.
+    ``avoider`` replaces the space's avoider. A relative path of an avoider is relative to the working
+    directory. ``sentences`` replace the space's claims. The trials add the claim "the avoider answered",
+    unless the claims already cover it. If the space expects a claim to be violated, the search treats this
+    claim like any other claim. ``to_be_found`` lists the claims that the space expects to be violated.
 
-    With a ``reference``, every point also runs with that avoider. The search then looks for claims that the
-    avoider violates and the reference keeps, and ``differences`` holds all pairs.
+    If there is a ``reference``, every point also runs with that avoider. The search then looks for claims
+    that the avoider violates and the reference keeps. ``differences`` holds all pairs.
 
-    ``parting_answers`` holds the last question that each pair shares.
+    ``parting_answers`` holds the answers to the last query that each pair shares.
 
-    The other fields sum over all runs. ``nearest_hand_m`` is the least distance between hand and arm;
-    ``decisions`` counts all decisions, and ``unanswered`` those without an answer. ``overruling`` counts
-    proposals that the gate overruled, and ``repeatability`` keeps the avoider's questions. ``tried`` records
-    which parts of the space were exercised, and ``times`` holds the answer times.
+    The other fields summarise all runs. ``nearest_hand_m`` is the least distance between hand and arm.
+    ``decisions`` counts all decisions, and ``unanswered`` counts the decisions without an answer.
+    ``overruling`` counts proposals that the gate overruled, and ``repeatability`` stores the avoider's
+    queries. ``tried`` records which parts of the space were exercised, and ``times`` holds the answer times.
 
-    Each scenario derives its seed from ``seed`` and the point's number, unless the file fixes the seed. An
-    avoider with a memory keeps that memory from run to run, as ``Admitter`` describes.
+    The seed of each scenario derives from ``seed`` and the number of the point, unless the file fixes the
+    seed. If an avoider has a memory, it keeps this memory from run to run, as ``Admitter`` describes.
     """
 
     space: ScenarioSpace
@@ -194,7 +200,7 @@ class Trials:
 
     @property
     def against(self) -> Against | None:
-        """The differences from the reference; None without a reference."""
+        """The differences from the reference, or None if there is no reference."""
         if self.reference is None:
             return None
         mine = told_avoider(self.avoider or self.space.simplest.under_test)
@@ -205,7 +211,7 @@ class Trials:
 
         Args:
             point: (d,) the point of the cube.
-            number: The point's number in the search; it determines the seed.
+            number: The number of the point in the search. It determines the seed.
 
         Raises:
             InputError: The reader refuses the scenario.
@@ -228,7 +234,9 @@ class Trials:
         return replace(scenario, claims=claims)
 
     def __call__(self, points: Points, first: int) -> Outcomes:
-        """Admit and run points, and return their outcomes; a refused point has no run.
+        """Admit and run points, and return their outcomes.
+
+        A refused point has no run.
 
         Args:
             points: (n, d) points of the cube.
@@ -246,6 +254,7 @@ class Trials:
                 self.declared_s = decision_time_of(admitted[k].avoider)
             except InputError as error:
                 refused[k] = why_refused(error)
+        # One call for both avoiders, so that a world with batches runs them together.
         traces = self.world([*admitted.values(), *paired.values()])
         references = dict(zip(paired, traces[len(admitted) :], strict=True))
         margins = np.full((len(points), len(self.goals)), np.nan)
@@ -293,9 +302,10 @@ class Trials:
         margins: NDArray[np.float64],  # (k,)
         conclusive: NDArray[np.bool_],  # (k,)
     ) -> None:
-        """Replace ``margins`` by differences; set ``conclusive`` False unless both verdicts are conclusive.
+        """Replace ``margins`` by differences from the reference.
 
-        A difference below zero is always conclusive.
+        Set ``conclusive`` to False unless both verdicts are conclusive. However, a difference below zero is
+        always conclusive.
         """
         theirs = [prop.evaluate(reference) for prop in self.properties]
         self.differences.append(
@@ -309,7 +319,10 @@ class Trials:
 
 
 def least_hand_distance_m(trace: Trace) -> float:
-    """Return the least distance of a present hand from the arm, surface to surface; inf without a hand."""
+    """Return the least distance between the surfaces of the arm and of any present hand.
+
+    If no hand is present, the distance is inf.
+    """
     ticks = as_measured(trace).ticks
     there = ticks["hand_distance_m"][ticks["hand_present"]]
     return float(np.fmin.reduce(there, initial=np.inf))

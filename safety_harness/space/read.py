@@ -1,6 +1,6 @@
-"""Reading of scenario spaces from files and texts, and a trial of the values that they allow.
+"""Read scenario spaces from files and texts, and try some of the values that a space allows.
 
-The trial covers both ends of every parameter, a value between, and every alternative.
+The trial uses both ends of every parameter, a value between them, and every alternative.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ def read_space(path: str | Path, library: Library | None = None) -> ScenarioSpac
     """Return the scenario space in a file.
 
     Args:
-        path: The file, or ``shipped:NAME``; ``parse_space`` reads a text.
-        library: Records every file that is read.  None: nothing is recorded.
+        path: The file, or ``shipped:NAME``.  For a text, use ``parse_space``.
+        library: An object that records every file that is read.  None means that no files are recorded.
 
     Raises:
-        InputError: The file cannot be used; the error states the place.
+        InputError: The file is unusable.  The error states the place.
 
     """
     path = as_path(path, "read_space(path)", of_text="parse_space")
@@ -55,16 +55,16 @@ def parse_space(
     """Return the scenario space that ``text`` describes.
 
     The reader tries every parameter at its ends and at a value between them, or at each of its alternatives.
-    It refuses a space with a value that the scenario reader refuses, or that cannot be read back from the
-    scenario.
+    The reader refuses the space if the scenario reader refuses such a value, or if the value cannot be
+    recovered from the scenario.
 
     Args:
         text: The text.
-        file: A path whose folder contains the recordings.  None: the working directory.
+        file: A path whose folder contains the recordings.  None means the working directory.
         recordings: Contents of recordings by their SHA-256, as for ``parse_scenario``.
 
     Raises:
-        InputError: The text cannot be used; the error states the place.
+        InputError: The text is unusable.  The error states the place.
 
     """
     refuse_other_type("parse_space(text)", text, str, expected="a text", hint="read_space(path) reads a file")
@@ -76,7 +76,8 @@ def space_of(
 ) -> ScenarioSpace:
     """Return the scenario space that ``tree`` describes.
 
-    ``name`` is the name of the space; the remaining arguments are as in ``parse_space``.
+    ``name`` is the name of the space, and the remaining arguments have the same meaning as in
+    ``parse_space``.
     """
     root = Field(tree, file, path="", line=1)
     template, parameters = TemplateReader().whole(root)
@@ -95,7 +96,7 @@ def space_of(
 
 
 def _with_regions(space: ScenarioSpace) -> ScenarioSpace:
-    """Return the space with its named regions resolved from the training data of its avoider."""
+    """Return the space with its named regions resolved by means of its avoider's training data."""
     if not any(isinstance(item.distribution, InRegion) for item in space.parameters):
         return space
 
@@ -121,7 +122,7 @@ def _with_regions(space: ScenarioSpace) -> ScenarioSpace:
 
 
 def _try_out(space: ScenarioSpace) -> None:
-    """Raise ScenarioError for the first value that the reader refuses, or that cannot be read back."""
+    """Raise ScenarioError for the first value that the reader refuses or that cannot be recovered."""
     for claim in space.simplest.claims:
         if claim.most is not None:
             expected = "holds, violated or inconclusive, without a bound, in a space"
@@ -147,7 +148,11 @@ def _try_out(space: ScenarioSpace) -> None:
 
 
 def _trials(space: ScenarioSpace, parameter: Parameter) -> Iterator[tuple[Vector, bool]]:
-    """Yield values (d,) that use ``parameter``, each with whether the scenario must show the value again."""
+    """Yield values (d,) for trials of ``parameter``.
+
+    A scenario with these values uses the parameter.  A flag comes with the values, and is True if the values
+    must be recoverable from the scenario.
+    """
     raw = np.concatenate([each.distribution.simplest for each in space.parameters])
     for condition in parameter.when[0] if parameter.when else ():
         raw[space.parameters[condition.parameter].column] = condition.least

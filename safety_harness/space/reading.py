@@ -1,4 +1,4 @@
-"""The reading of a scenario space: from the tree of its file to its template and its parameters."""
+"""Read a scenario space: convert the tree of its file to a template and its parameters."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _Use = tuple[int, tuple[Condition, ...]]  # a parameter, and the conditions of i
 
 @dataclass
 class _Named:
-    """A named value, given below the key ``choices``."""
+    """A named value, which is defined below the key ``choices``."""
 
     place: Field
     template: Template
@@ -44,7 +44,10 @@ class _Named:
 
 
 class TemplateReader:
-    """The reader of one file, used once, from the beginning to the end of the file."""
+    """The reader of a single file.
+
+    Each object reads one file from beginning to end.
+    """
 
     def __init__(self) -> None:
         self._drafts: list[Parameter] = []  # their conditions and columns are known at the end
@@ -54,7 +57,10 @@ class TemplateReader:
         self._members = 0  # the number of members that repetitions have made so far
 
     def whole(self, root: Field) -> tuple[Keyed, tuple[Parameter, ...]]:
-        """Return the template of a scenario and its parameters; ScenarioError if the text has no meaning."""
+        """Return the template of a scenario and its parameters.
+
+        Raise ScenarioError if the text is not valid.
+        """
         entries = dict(root.entries("a mapping with the keys of a scenario"))
         if SPACE_KEY not in entries:
             expected = f'the key "{SPACE_KEY}"'
@@ -88,7 +94,10 @@ class TemplateReader:
                 raise value.error('a value that varies, such as "one of left, right"')
 
     def _parameters(self, root: Field) -> tuple[Parameter, ...]:
-        """Return the parameters with their columns and the conditions under which each is used."""
+        """Return the parameters.
+
+        Each parameter gets its columns, and the conditions under which it is used.
+        """
         whens: list[dict[tuple[Condition, ...], None]] = [{} for _ in self._drafts]
         for number, conditions in self._uses:
             whens[number][conditions] = None
@@ -111,7 +120,10 @@ class TemplateReader:
         return len(self._drafts) - 1
 
     def _template(self, at: Field, context: tuple[Condition, ...]) -> Template:
-        """Return the template of a field; ``context`` holds the conditions under which the field is used."""
+        """Return the template of a field.
+
+        ``context`` contains the conditions under which the field is used.
+        """
         if isinstance(at.node, Scalar):
             return self._scalar(at, context)
         if isinstance(at.node, Sequence):
@@ -131,9 +143,9 @@ class TemplateReader:
         )
 
     def _scalar(self, at: Field, context: tuple[Condition, ...]) -> Template:
-        """Return the template of a text, by its words.
+        """Return the template of a text, which depends on its first words.
 
-        It is a named value, a choice of alternatives, a value with a distribution, or the text itself.
+        The text is a reference to a named value, a choice of alternatives, a distribution, or a fixed text.
         """
         text = " ".join(at.scalar("a value").split())
         if text.startswith("the "):
@@ -146,7 +158,10 @@ class TemplateReader:
         return at.node if distribution is None else Given(self._parameter(at, distribution, context), at.line)
 
     def _use(self, at: Field, name: str, context: tuple[Condition, ...]) -> _Named:
-        """Return a named value, and record that its parameters are used under the conditions ``context``."""
+        """Return a named value.
+
+        Record that its parameters are used under the conditions ``context``.
+        """
         if name not in self._named:
             known = ", ".join(self._named)
             expected = f"one of the choices {known}" if known else "a name below choices, which has none"
@@ -172,7 +187,7 @@ class TemplateReader:
         return Listing(tuple(items), at.node.line)
 
     def _repeat(self, at: Field, context: tuple[Condition, ...]) -> list[Template]:
-        """Return the members of a list that a mapping with ``repeat`` stands for."""
+        """Return the members of a list that a mapping with the key ``repeat`` describes."""
         given = at.fields(("repeat", "moves"))
         least, most = times(given.required("repeat"))
         moves = given.required("moves").items("the list that is repeated", least=1)
@@ -196,7 +211,7 @@ class TemplateReader:
         return [Repeated(number, least, tuple(copies), at.line)]
 
     def _one_of(self, at: Field, context: tuple[Condition, ...]) -> Template:
-        """Return the template of a mapping with ``one of``."""
+        """Return the template of a mapping with the key ``one of``."""
         given = at.fields(("one of", "chances"))
         options = listed_options(given.required("one of"))
         chances = (1.0,) * len(options)
@@ -210,7 +225,10 @@ class TemplateReader:
         return self._alternatives(at, number, options, context)
 
     def _switch(self, at: Field, context: tuple[Condition, ...]) -> Template:
-        """Return the template of a mapping with ``by``: a value for each word of a named choice."""
+        """Return the template of a mapping with the key ``by``.
+
+        The mapping contains a value for each word of a named choice.
+        """
         entries = dict(at.entries("a mapping"))
         choice = entries.pop("by")
         name = choice.scalar("the name of a choice").removeprefix("the ")
@@ -231,7 +249,10 @@ class TemplateReader:
     def _alternatives(
         self, at: Field, number: int, options: tuple[Field, ...], context: tuple[Condition, ...]
     ) -> Alternatives:
-        """Return ``options`` as alternatives, used if the value of parameter ``number`` is their number."""
+        """Return ``options`` as alternatives.
+
+        The value of the parameter ``number`` is the index of the alternative to use.
+        """
         templates = (
             self._template(option, (*context, Condition(number, choice, choice)))
             for choice, option in enumerate(options)
@@ -240,7 +261,7 @@ class TemplateReader:
 
 
 def _chances(at: Field, count: int) -> tuple[float, ...]:
-    """Return the chances of ``count`` alternatives."""
+    """Return the relative probabilities of ``count`` alternatives."""
     expected = f"a list of {count} chances, numbers from 0.000001 to 1000000 such as 3 or 25 %"
     chances = []
     for item in at.items(expected, count=count):
@@ -285,7 +306,7 @@ def _region(at: Field, name: Field) -> InRegion:
 
 
 def _corner(at: Field) -> tuple[Vector3, str]:
-    """Return three quantities of one kind as numbers in SI, and their SI unit."""
+    """Return three quantities of the same dimension as numbers in SI, and their SI unit."""
     (x, unit), (y, y_unit), (z, z_unit) = (fixed_quantity(c) for c in at.items("a list of three", count=3))
     if not unit == y_unit == z_unit:
         raise at.error("three quantities of one kind")

@@ -1,19 +1,19 @@
-"""Regions given by name: the space that an avoider saw in training, and the shells around it (Table 3).
+"""Named regions: the space that an avoider saw in training, and the shells around that space (Table 3).
 
 The paper gives only the bounds of the seen hands (nominal +- 300 mm, section 4.1).  We chose the remaining
-bounds, before any result, for these reasons:
+bounds before any result, for these reasons:
 
-* Seen TCPs lie within +-(60, 150, 100) mm of the desired position, x narrowest as in the paper.  In the
-  default cell the arm reaches all of that box, with the object in view.
-* Unseen TCPs lie outside that box and inside a box of twice its size.  This region borders on the seen box,
-  so a TCP that retreats from the seen box's rim by R = 100 mm ends there.  The region is seven eighths of the
-  larger box.  In the default cell the arm reaches all of these TCPs.  At about a fifth of them, the object is
-  partly out of view.
-* Unseen hands lie outside the seen box and inside a box of 1.5 times its size.  No hand's centre is below the
-  table's top.  A hand only shifts the target, by 0.05 of its own displacement (eq. 13), so a larger box would
-  teach little.  In a box of twice the size, hands would be among the arm's own links.
+* Seen TCPs lie within +-(60, 150, 100) mm of the desired position.  The range of x is the narrowest, as in
+  the paper.  In the default cell, the arm can reach every point of that box, and the object is then in view.
+* Unseen TCPs lie outside that box, and inside a box of twice its size.  This region borders on the seen box.
+  A TCP that retreats by R = 100 mm from the edge of the seen box therefore ends in this region.  The region
+  has seven eighths of the larger box's volume.  In the default cell the arm reaches all of these TCPs.  At
+  about a fifth of them, the object is partly out of view.
+* Unseen hands lie outside the seen box, and inside a box of 1.5 times its size.  No hand's centre is below
+  the table's top.  A hand only shifts the target by 0.05 of its own displacement (eq. 13), so a larger box
+  would add little.  In a box of twice the size, hands would overlap with the arm's own links.
 
-A network's file states the bounds of its training, and the regions follow them.
+If a network's file states the bounds of its training data, the regions use these bounds.
 """
 
 from __future__ import annotations
@@ -39,8 +39,11 @@ from safety_harness.cell.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.scenario.references import MODEL_SUFFIX, file_and_name, names_onnx
 from safety_harness.scenario.typed_json import parsed
 
+# Half sizes of the training space, of which x is the narrowest, as in the paper. In 10,000 draws, the UR10
+# could reach every TCP, with the object in view.
 SEEN_TCP_HALF_SIZE_M: Vector3 = (0.060, 0.150, 0.100)
 SEEN_HAND_HALF_SIZE_M: Vector3 = (0.300, 0.300, 0.300)
+# A choice: an unseen space is the grown box without the seen box.
 UNSEEN_TCP_FACTOR = 2.0
 UNSEEN_HAND_FACTOR = 1.5
 REGIONS = ("seen hand", "unseen hand", "seen tcp", "unseen tcp")
@@ -50,7 +53,7 @@ REGIONS = ("seen hand", "unseen hand", "seen tcp", "unseen tcp")
 class SeenRegions:
     """The boxes of hands and TCPs that an avoider saw in training, in the base frame.
 
-    ``source`` states whose training the boxes come from.
+    ``source`` states the origin of the boxes, which is an avoider or the paper.
     """
 
     hand: Box
@@ -59,7 +62,10 @@ class SeenRegions:
 
 
 def paper_seen(settings: Settings, source: str = "the paper") -> SeenRegions:
-    """Return the paper's seen space: TCPs around the desired position, hands around the nominal position."""
+    """Return the seen space of the paper.
+
+    TCPs lie around the desired position, and hands around the nominal hand position.
+    """
     return SeenRegions(
         hand=Box.centred_at(settings.avoidance.nominal_hand_position_in_base_m, SEEN_HAND_HALF_SIZE_M),
         tcp=Box.centred_at(settings.cell.desired_tcp_position_in_base_m, SEEN_TCP_HALF_SIZE_M),
@@ -68,14 +74,14 @@ def paper_seen(settings: Settings, source: str = "the paper") -> SeenRegions:
 
 
 def seen_by(avoider: str, *, folder: Path | None, settings: Settings) -> SeenRegions:
-    """Return the space that a scenario's avoider saw in training, as its file's metadata state it.
+    """Return the space that a scenario's avoider saw in training, according to the metadata of its file.
 
     The function reads the metadata of a network and runs no user program.  If an avoider has no metadata, the
-    result is the paper's seen space, and ``source`` reports this.
+    result is the seen space of the paper, and ``source`` states this.
 
     Args:
         avoider: The avoider's reference.
-        folder: The folder of relative files; None: the working directory.
+        folder: The folder to which file paths are relative.  None means the working directory.
         settings: The settings with the desired TCP and the nominal hand.
 
     Raises:
@@ -122,7 +128,10 @@ def region_named(name: str, seen: SeenRegions, settings: Settings) -> Region:
 
 
 def exported_use(path: Path) -> NetworkUse | None:
-    """Return the data of the network in an ONNX file of ours; None if the file is not ours."""
+    """Return the data of the network in an ONNX file that this package has exported.
+
+    Return None for any other file.
+    """
     text = onnx_metadata(path, onnx_bytes(path)).get(KEY)
     if text is None:
         return None

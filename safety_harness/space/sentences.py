@@ -1,4 +1,4 @@
-"""Distributions as people write them to replace a value, such as ``from 0.5 m/s to 2 m/s``."""
+"""Read distributions from the texts that replace a value in a file, such as ``from 0.5 m/s to 2 m/s``."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from safety_harness.scenario.fields import Field
 from safety_harness.scenario.units import DIMENSIONS, NUMBER, normal_unit, parse_quantity, shown
 from safety_harness.space.distributions import LEAST_MASS, TruncatedNormal, Uniform
 
+# Choices that bound the size of a space which a file can ask for.
 MOST_OPTIONS = 100
 MOST_TIMES = 20
 
@@ -20,7 +21,10 @@ _TIMES = re.compile(r"(?:from )?([0-9]{1,9})(?: to ([0-9]{1,9}))? times?")
 
 
 def sentence(field: Field, text: str) -> Uniform | TruncatedNormal | None:
-    """Return the distribution that a text states; None unless it begins with "from" or "normal"."""
+    """Return the distribution that a text describes.
+
+    Return None unless the text begins with "from" or "normal".
+    """
     first = text.partition(" ")[0]
     if first == "from":
         return _uniform(field, text)
@@ -40,11 +44,13 @@ def times(field: Field) -> tuple[int, int]:
 
 
 def fixed_quantity(field: Field, text: str | None = None) -> tuple[float, str]:
-    """Return a quantity in SI with its SI unit; the written unit determines the dimension.
+    """Return a quantity in SI, and its SI unit.
+
+    The unit in the text determines the dimension.
 
     Args:
-        field: The field, for errors.
-        text: The text; None: the field's own.
+        field: The field, for error messages.
+        text: The text.  None means the text of the field.
 
     """
     text = field.scalar("a quantity such as 80 mm") if text is None else text
@@ -58,7 +64,7 @@ def fixed_quantity(field: Field, text: str | None = None) -> tuple[float, str]:
 
 
 def _uniform(field: Field, text: str) -> Uniform:
-    """Return the uniform distribution that a text states."""
+    """Return the uniform distribution that a text describes."""
     matched = _UNIFORM.fullmatch(text)
     if matched is None:
         raise field.error('both ends, such as "from 0.5 m/s to 2 m/s"')
@@ -70,7 +76,7 @@ def _uniform(field: Field, text: str) -> Uniform:
 
 
 def _normal(field: Field, text: str) -> TruncatedNormal:
-    """Return the truncated normal distribution that a text states."""
+    """Return the truncated normal distribution that a text describes."""
     matched = _NORMAL.fullmatch(text)
     if matched is None:
         example = "normal 1 m/s +- 0.2 m/s from 0.5 m/s to 2 m/s"
@@ -86,7 +92,10 @@ def _normal(field: Field, text: str) -> TruncatedNormal:
 
 
 def _alike(field: Field, *texts: str) -> tuple[tuple[float, ...], str]:
-    """Return the quantities in ``texts`` as numbers in SI, and the SI unit that they must share."""
+    """Return the quantities in ``texts`` as numbers in SI, and their SI unit.
+
+    All texts must have the same unit.
+    """
     quantities = [fixed_quantity(field, text) for text in texts]
     if len({unit for _, unit in quantities}) > 1:
         hint = "a number alone has no unit: from 0.5 m/s to 2 m/s"
@@ -95,7 +104,7 @@ def _alike(field: Field, *texts: str) -> tuple[tuple[float, ...], str]:
 
 
 def options_of(field: Field, text: str) -> tuple[str, ...]:
-    """Return the options in a text ``A, B`` as they are written there."""
+    """Return the options in a text of the form ``A, B``, without converting them."""
     options = tuple(option.strip() for option in text.split(","))
     _refuse_options(field, options)
     if not all(options):

@@ -1,8 +1,10 @@
-"""A scenario space: one text that serves as a set to search, a distribution to sample and a source of tests.
+"""A scenario space: one text that defines a set of scenarios and a distribution over this set.
 
-The text becomes a tree, and the tree becomes a template with parameters (``reading``).  Values of the
-parameters make a scenario.  A form speeds up the making of scenarios with the same structure (``tracing``).
-``matches`` finds the values of a given scenario.
+Programs search the set, draw samples from the distribution, and use the scenarios as inputs of tests.
+
+The text is parsed to a tree, and the tree is converted to a template with parameters (``reading``).  A
+scenario is defined by values of the parameters.  Scenarios with the same structure share a form, which makes
+them faster to create (``tracing``).  The function ``matches`` recovers the values from a given scenario.
 """
 
 from __future__ import annotations
@@ -41,19 +43,22 @@ _UNUSED = 0.5  # the cube coordinate of a value that a scenario does not use
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ScenarioSpace:
-    """A set of scenarios with a distribution, from ``read_space``, ``parse_space`` or ``space_from``.
+    """A set of scenarios with a distribution.
 
-    The expected verdict of a claim is the verdict that every scenario of the space should get.
+    Such an object comes from ``read_space``, ``parse_space`` or ``space_from``.  The expected verdict of a
+    claim in a space applies to every scenario of the space.
 
     Args:
         name: The name.
         title: The title, one line.
-        file: The file; None: a text.
+        file: The file, or None if the space was read from a text.
         tree: The tree of the file.
-        template: The tree of its scenarios, with a gap for each value that varies.
+        template: The tree of the scenarios, with a gap for each value that varies.
         parameters: The parameters, in the order of the unit cube's coordinates.
-        notes: Notes for people, which state whose seen space the regions mean.
-        recordings: Contents of recordings by their SHA-256, which replace files.
+        notes: Notes for people.  They state whether the named regions use the seen space of the avoider or of
+            the paper.
+        recordings: Contents of recordings, which replace files.  The keys are the SHA-256 hashes of the
+            contents.
 
     """
 
@@ -68,7 +73,7 @@ class ScenarioSpace:
     _forms: dict[bytes, Form | None] = field(default_factory=dict, init=False)  # by the choices' values
 
     def __repr__(self) -> str:
-        """Return only name and title, because Hypothesis shows this text as the name of a strategy."""
+        """Return the name and the title, because Hypothesis shows this text as the name of a strategy."""
         return f"<scenario space {self.name}: {self.title}>"
 
     def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
@@ -92,12 +97,14 @@ class ScenarioSpace:
         return row
 
     def draw(self, seed: int, k: int, values: Vector | None = None) -> Scenario:
-        """Return draw ``k`` of the stream ``seed``; draws are independent, and equal in every process.
+        """Return draw ``k`` of the stream ``seed``.
+
+        Draws are independent, and the same in every process.
 
         Args:
             seed: The root of the random numbers.
             k: The number of the draw, from 0.
-            values: The draw's row (d,) of ``values_of_draws``, if known.
+            values: The row (d,) of ``values_of_draws`` for this draw, if the caller already has it.
 
         """
         if values is None:
@@ -105,13 +112,14 @@ class ScenarioSpace:
         return self.scenario(values, seed=leaf(seed, Branch.SPACE_DRAW, k, 1), name=f"{self.name}#{k}")
 
     def values_of_draws(self, seeds: Sequence[int], k: int) -> Vector:
-        """Return the values (n, d) of draw ``k`` of each of n streams; their bits do not depend on n.
+        """Return the values (n, d) of draw ``k`` for each of n streams.
 
-        Therefore points in shells are computed one by one: numpy may round the sine of an array and of a
-        number differently.
+        The values of a stream have the same bits for every n.  To ensure this, the function computes points
+        in shells one by one.  Otherwise numpy might round the sine of a number differently if the number is
+        in an array.
 
         Args:
-            seeds: The streams, n of them.
+            seeds: The n streams.
             k: The number of the draw, from 0.
 
         """
@@ -140,17 +148,20 @@ class ScenarioSpace:
 
         Args:
             u: The point (d,).
-            seed: The scenario's own seed.
-            name: Its name; None: the name of the space.
+            seed: The seed of the scenario.
+            name: The name of the scenario.  None means the name of the space.
 
         Raises:
-            ScenarioError: The point is outside the cube, or the reader refuses the combination of values.
+            ScenarioError: The point is outside the cube, or the reader refuses this combination of values.
 
         """
         return self.scenario(self.values_at(np.asarray(u, float)[None])[0], seed=seed, name=name)
 
     def values_at(self, u: Rows) -> Vector:
-        """Return the values (n, d) in SI at points ``u`` (n, d) of the unit cube, with NaN if unused."""
+        """Return the values (n, d) in SI at the points ``u`` (n, d) of the unit cube.
+
+        Unused values are NaN.
+        """
         self._refuse_other_shape(u)
         if not np.all((u >= 0.0) & (u <= 1.0)):
             raise self._error("coordinates from 0 to 1", f"{u.min()} to {u.max()}")
@@ -160,7 +171,10 @@ class ScenarioSpace:
         return self.without_unused(values)
 
     def cube_at(self, values: Rows) -> Vector:
-        """Return the points (n, d) of the unit cube at ``values`` (n, d); ScenarioError outside the space."""
+        """Return the points (n, d) of the unit cube that ``values_at`` maps to ``values`` (n, d).
+
+        Raise ScenarioError if the values are outside the space.
+        """
         outside = np.flatnonzero(~np.isfinite(self.log_density_at(values)))
         if len(outside):
             raise self._error("values within their distributions", f"others in row {outside[0]}")
@@ -171,9 +185,10 @@ class ScenarioSpace:
         return u
 
     def log_density_at(self, values: Rows) -> Vector:
-        """Return the natural logarithm (n,) of the density at ``values`` (n, d); -inf outside the space.
+        """Return the natural logarithm (n,) of the density at ``values`` (n, d).
 
-        The density refers to the product of lengths, volumes (SI) and counts over the used parameters.
+        Outside the space, it is -inf.  The density is relative to a product over all used parameters.  Each
+        parameter contributes a length, a volume or a count, in SI units.
         """
         self._refuse_other_shape(values)
         density = np.zeros(len(values))
@@ -183,18 +198,21 @@ class ScenarioSpace:
         return density
 
     def without_unused(self, values: Rows) -> Vector:
-        """Return ``values`` (n, d) with NaN for each value that the choices in its row leave unused."""
+        """Return ``values`` (n, d), with NaN in place of all values that are unused.
+
+        The choices in a row determine which of its values are used.
+        """
         cleared = values.copy()
         for parameter, used in zip(self.parameters, self.used_by(values), strict=True):
             cleared[~used, parameter.columns] = np.nan
         return cleared
 
     def used_by(self, values: Rows, parameters: Sequence[Parameter] | None = None) -> list[NDArray[np.bool_]]:
-        """Return, for each parameter, a mask (n,) of the scenarios in ``values`` (n, d) that use it.
+        """Return the scenarios in ``values`` (n, d) that use each parameter, as one mask (n,) per parameter.
 
         Args:
             values: The values of n scenarios.
-            parameters: The parameters to ask about; None: all.
+            parameters: The parameters for which masks are needed.  None means all parameters.
 
         """
 
@@ -212,13 +230,13 @@ class ScenarioSpace:
     def scenario(self, values: Vector, *, seed: int = 0, name: str | None = None) -> Scenario:
         """Return the scenario that has the given values.
 
-        At first, the reader makes the scenario of each structure.  For further scenarios of that structure,
-        the values are put into a form.
+        The reader makes the first scenario of each structure.  For further scenarios of the structure, the
+        values are inserted into a form.
 
         Args:
-            values: The values (d,), as from ``values_at``.
-            seed: The scenario's own seed.
-            name: Its name; None: the name of the space.
+            values: The values (d,), in the format of ``values_at``.
+            seed: The seed of the scenario.
+            name: The name of the scenario.  None means the name of the space.
 
         """
         row, name = values.tolist(), name or self.name
@@ -229,10 +247,14 @@ class ScenarioSpace:
         return made
 
     def _form(self, structure: bytes, row: Values) -> Form | None:
-        """Return the form of a structure; None for its first scenario, and if no form fits the structure."""
+        """Return the form of a structure, or None.
+
+        There is no form for the first scenario of a structure, or if no form fits the structure.
+        """
         if structure not in self._forms:
             if len(self._forms) >= _MOST_FORMS:
                 self._forms.clear()
+            # A form costs more than a reading, so a structure gets one at its second scenario.
             self._forms[structure] = None
         elif self._forms[structure] is None:
             with suppress(InputError):  # the reading without marks raises it again
@@ -240,9 +262,9 @@ class ScenarioSpace:
         return self._forms.get(structure)
 
     def _read(self, row: Values, known: Sequence[Any] | None = None, *, name: str = "") -> Scenario:
-        """Return the scenario of the values ``row``, made by the reader.
+        """Return the scenario that the reader makes from the values ``row``.
 
-        ``known`` are numbers that replace the written values in the reader.
+        In the reader, the numbers ``known`` replace the numbers in the written text.
         """
         tree = filled(self.template, self.parameters, row, known)
         read = scenario_of(tree, self.file, self.recordings, name=name)
@@ -251,34 +273,42 @@ class ScenarioSpace:
 
     @cached_property
     def _choices(self) -> NDArray[np.int64]:
-        """The coordinates of the choices, which decide which other coordinates are used, and where."""
+        """The coordinates of all choices.
+
+        The values of the choices determine which other coordinates a scenario uses, and where the scenario
+        uses them.
+        """
         choices = (p.column for p in self.parameters if isinstance(p.distribution, Choice))
         return np.fromiter(choices, np.int64)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the data without the forms, because another process makes its own forms."""
+        """Return the data without the forms, because another process creates its own forms."""
         return vars(self) | {"_forms": {}}
 
     def values_of(self, scenario: Scenario) -> Vector:
-        """Return values (d,) that produce ``scenario`` up to its name and seed; ScenarioError if none do."""
+        """Return values (d,) that produce ``scenario``, ignoring its name and seed.
+
+        Raise ScenarioError if the scenario is not in the space.
+        """
         for values in self._readings(scenario):
             return values
         raise self._error("a scenario of the space", f"{scenario.name}, which is none")
 
     def cube_of(self, scenario: Scenario) -> Vector:
-        """Return the point (d,) of the unit cube whose scenario is ``scenario``, up to its name and seed.
+        """Return the point (d,) of the unit cube that produces ``scenario``, ignoring its name and seed.
 
-        The coordinate of a choice is the middle of its interval; that of an unused value is 0.5.
-        ScenarioError if the scenario is outside the space.
+        The coordinate of a choice is the middle of its interval, and the coordinate of an unused value is
+        0.5.  Raise ScenarioError if the scenario is outside the space.
         """
         row: Vector = self.cube_at(self.values_of(scenario)[None])[0]
         return row
 
     def log_density(self, scenario: Scenario) -> float:
-        """Return the natural logarithm of the density at ``scenario``, as ``log_density_at``; -inf outside.
+        """Return the natural logarithm of the density at ``scenario``, as in ``log_density_at``.
 
-        If overlapping alternatives produce the scenario in several ways, their densities are added.  A way
-        that contains a value exactly outweighs a way that would produce it only by coincidence.
+        Outside the space, it is -inf.  If overlapping alternatives produce the scenario in several ways, the
+        densities of the ways are added.  Only the ways with the fewest continuous coordinates are used,
+        because any further continuous coordinate would match only by coincidence.
         """
         readings = list(self._readings(scenario))
         if not readings:
@@ -292,7 +322,7 @@ class ScenarioSpace:
         return any(True for _ in self._readings(scenario))
 
     def _readings(self, scenario: Scenario) -> Iterator[Vector]:
-        """Yield values (d,) that produce ``scenario``, for each way in which they can."""
+        """Yield all possible values (d,) that produce ``scenario``."""
         own_settings = not self._keys.isdisjoint((*TOP_GROUPS, "settings"))
         written = tree_of(scenario, all_settings=own_settings)
         for count, matched in enumerate(matches(self.template, written, self.parameters)):
@@ -313,7 +343,7 @@ class ScenarioSpace:
         return made == scenario
 
     def _free_coordinates(self, values: Vector) -> int:
-        """Return the number of used coordinates that belong to no choice."""
+        """Return the number of used coordinates that belong to continuous distributions."""
         return sum(
             parameter.distribution.columns
             for parameter in self.parameters
@@ -322,7 +352,7 @@ class ScenarioSpace:
 
     @cached_property
     def _keys(self) -> frozenset[str]:
-        """The keys at the top of the text."""
+        """The top-level keys of the text."""
         return frozenset(key.text for key, _ in self.template.entries)
 
     def _refuse_other_shape(self, array: Vector) -> None:
@@ -332,14 +362,15 @@ class ScenarioSpace:
             raise self._error(f"rows of {self.dimension} coordinates", f"an array of {shape}")
 
     def _error(self, expected: str, got: str) -> ScenarioError:
-        """Return an error whose place is this space."""
+        """Return an error that states this space as its place."""
         return ScenarioError(place=Place(file=self.file, field=self.name), expected=expected, got=got)
 
 
 def each_to_hold(claims: Sequence[Claim]) -> tuple[Claim, ...]:
-    """Return the claims for one scenario of a space, each with the expected verdict "holds".
+    """Return the claims of a space for a single scenario.
 
-    A space may expect that a claim is violated somewhere, but a single scenario should not violate it.
+    The expected verdict "violated" is replaced by "holds".  A space may expect that some scenario violates a
+    claim, but a single scenario should not violate it.
     """
     violated = Verdict.VIOLATED
     return tuple(replace(c, expected=Verdict.HOLDS) if c.expected is violated else c for c in claims)

@@ -1,9 +1,10 @@
-"""A space as a Hypothesis strategy: all examples are in the space, and shrink towards its simplest one.
+"""A Hypothesis strategy for the scenarios of a space.
 
-Shrinking prefers first alternatives, fewer repetitions, values nearer to zero (slower, shorter, less turned)
-and points nearer to the seen space.  It also prefers round numbers: values are on a decimal grid of 100 to
-1000 steps, unless an example needs others.  For a range of a decimetre or more, the grid has steps of
-millimetres.  For angles it has steps in degrees.
+Examples shrink towards the simplest scenario of the space.  Shrinking prefers first alternatives, fewer
+repetitions, points nearer to the seen space, and values nearer to zero.  Such values mean slower, shorter and
+less turned motion.  Shrinking also prefers round numbers on a decimal grid of 100 to 1000 steps, unless a
+failure needs a value between them.  For a range of a decimetre or more, the steps of the grid are in
+millimetres.  For angles, the steps are in degrees.
 """
 
 from __future__ import annotations
@@ -37,7 +38,10 @@ def strategy(space: ScenarioSpace) -> st.SearchStrategy[Scenario]:
 
 @st.composite
 def values(draw: st.DrawFn, space: ScenarioSpace) -> Vector:
-    """Draw values (d,) of ``space`` in SI, one parameter after another; unused values are NaN."""
+    """Draw values (d,) of ``space`` in SI, one parameter after another.
+
+    Unused values are NaN.
+    """
     drawn = np.full((1, space.dimension), np.nan)
     for number, parameter in enumerate(space.parameters):
         # A named value is drawn before the choices that decide about its use.
@@ -49,7 +53,10 @@ def values(draw: st.DrawFn, space: ScenarioSpace) -> Vector:
 
 
 def _scenario(space: ScenarioSpace, row: Vector, seed: int) -> Scenario:
-    """Return the scenario of the values (d,), or let Hypothesis reject them if the reader refuses them."""
+    """Return the scenario of the values (d,).
+
+    If the reader refuses the values, make Hypothesis reject them.
+    """
     try:
         return space.scenario(row, seed=seed)
     except InputError:  # values that the reader refuses together
@@ -58,7 +65,7 @@ def _scenario(space: ScenarioSpace, row: Vector, seed: int) -> Scenario:
 
 @lru_cache(maxsize=1024)
 def _value(distribution: Distribution) -> st.SearchStrategy[tuple[float, ...]]:
-    """Return a strategy for the values of one parameter, which shrink to the simplest value."""
+    """Return a strategy for the values of one parameter, which shrink towards the simplest value."""
     if isinstance(distribution, Choice):
         return st.tuples(st.integers(0, len(distribution.labels) - 1).map(float))
     if isinstance(distribution, InShell):
@@ -73,7 +80,7 @@ def _value(distribution: Distribution) -> st.SearchStrategy[tuple[float, ...]]:
 
 
 def _in_shell(shell: InShell) -> st.SearchStrategy[tuple[float, ...]]:
-    """Return a strategy for points that shrink to the inner sphere, in the direction of x."""
+    """Return a strategy for points that shrink towards the inner sphere's point on the x axis."""
 
     def point(r: float, height: float, azimuth_rad: float) -> tuple[float, ...]:
         across = r * math.sqrt(1.0 - height * height)
@@ -85,7 +92,7 @@ def _in_shell(shell: InShell) -> st.SearchStrategy[tuple[float, ...]]:
 
 
 def _in_region(distribution: InRegion) -> st.SearchStrategy[tuple[float, ...]]:
-    """Return a strategy for points that shrink to a box's centre, or to the nearest side of a hole."""
+    """Return a strategy for points that shrink towards a box's centre, or to the nearest face of a hole."""
     outer, hole = distribution.known.outer, distribution.known.hole
     if hole is None:
         return _value(InBox(outer.low_m, outer.high_m))
@@ -102,9 +109,10 @@ def _in_region(distribution: InRegion) -> st.SearchStrategy[tuple[float, ...]]:
 
 
 def real(low: float, high: float, target: float, unit: str) -> st.SearchStrategy[float]:
-    """Return a strategy for numbers from ``low`` to ``high`` that shrink to ``target`` and round numbers.
+    """Return a strategy for numbers from ``low`` to ``high``.
 
-    For angles (the unit ``rad``), the round numbers are in degrees.
+    The numbers shrink towards ``target`` and towards round numbers.  For angles (the unit ``rad``), the round
+    numbers are in degrees.
     """
     grid = _grid(low, high, 180.0 / math.pi if unit.startswith("rad") else 1.0)
     above = [target, *(value for value in grid if value > target)]
@@ -123,7 +131,10 @@ def real(low: float, high: float, target: float, unit: str) -> st.SearchStrategy
 
 
 def _grid(low: float, high: float, scale: float) -> list[float]:
-    """Return ``low``, the round numbers between, in units of 1 / ``scale``, and ``high``."""
+    """Return the grid of a value, which consists of ``low``, the round numbers below ``high``, and ``high``.
+
+    The numbers are round in units of 1 / ``scale``.
+    """
     step = Fraction(10) ** int(f"{(high - low) * scale / _STEPS:e}".split("e")[1])
     first, last = math.ceil(low * scale / step), math.floor(high * scale / step)
     round_numbers = (float(k * step) / scale for k in range(first, last + 1))

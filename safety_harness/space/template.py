@@ -1,8 +1,9 @@
-"""A scenario's tree with gaps: fixed nodes, and places that a space's parameters fill.
+"""The tree of a scenario with gaps, where the parameters of a space fill the gaps.
 
-A value enters the tree as an exact quantity in its SI unit.  So the ordinary reader reads it, and no second
-language is needed.  To find the values of a scenario, its written tree is compared with the template, gap by
-gap. A match is only a guess that the template allows, so the caller fills it in and compares the scenarios.
+A value is inserted into the tree as a quantity in its SI unit, without rounding.  Therefore the ordinary
+reader can read the tree, and no second file format is needed.  To find the values of a scenario, the written
+tree of the scenario is compared with the template, gap by gap.  A match may be wrong, so the caller must
+insert the values and compare the resulting scenario with the original.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from safety_harness.space.sentences import fixed_quantity
 
 @dataclass(frozen=True)
 class Given:
-    """A gap that a parameter's value fills: a quantity, or a list of three quantities."""
+    """A gap for the value of a parameter, which is a quantity or a list of three quantities."""
 
     parameter: int
     line: int
@@ -35,7 +36,7 @@ class Given:
 
 @dataclass(frozen=True)
 class Alternatives:
-    """A gap that one of several subtrees fills, chosen by the number of a parameter."""
+    """A gap for one of several subtrees, which the value of a parameter selects."""
 
     parameter: int
     options: tuple[Template, ...]
@@ -44,9 +45,10 @@ class Alternatives:
 
 @dataclass(frozen=True)
 class Repeated:
-    """A gap in a list that ``least`` copies fill, and as many more as a parameter's number says.
+    """A gap in a list for repeated members.
 
-    ``copies`` holds the largest possible number of copies; each copy has its own parameters.
+    The number of copies is ``least`` plus the value of a parameter.  ``copies`` contains the largest possible
+    number of copies, and each copy has its own parameters.
     """
 
     parameter: int
@@ -77,7 +79,7 @@ Match: TypeAlias = dict[int, tuple[float, ...]]  # the values of each parameter 
 
 @dataclass(frozen=True)
 class Condition:
-    """The condition that the number of a parameter is from ``least`` to ``most``."""
+    """The condition that the value of a parameter is an index between ``least`` and ``most``."""
 
     parameter: int
     least: int
@@ -89,12 +91,12 @@ class Parameter:
     """A value that varies between the scenarios of a space.
 
     Args:
-        name: Its path in the file, for people.
+        name: The path of the value in the file, for people.
         distribution: Its distribution.
-        column: Its first coordinate in the cube.
-        when: The conditions of its use.  A scenario uses the parameter if all members of any one tuple are
-            true.
-        place: Its place in the file.
+        column: The first coordinate of the parameter in the unit cube.
+        when: The conditions under which a scenario uses the parameter, as a tuple of tuples.  It does so if
+            all conditions in at least one of the tuples are true.
+        place: The place of the value in the file.
 
     """
 
@@ -106,7 +108,10 @@ class Parameter:
 
     @cached_property
     def columns(self) -> slice:
-        """The parameter's coordinates in the cube, and its columns in an array of values."""
+        """The coordinates of the parameter in the unit cube.
+
+        The coordinates are also the columns of the parameter in an array of values.
+        """
         return slice(self.column, self.column + self.distribution.columns)
 
 
@@ -116,13 +121,13 @@ def filled(
     values: Values[float],
     known: Values[Any] | None = None,
 ) -> Node:
-    """Return the tree that the template becomes with the given values.
+    """Return the tree that results from inserting the given values into the template.
 
     Args:
         template: The template.
         parameters: The parameters of the space.
         values: The values, one for each coordinate.
-        known: Numbers that replace the values in the reader; None: the values themselves.
+        known: Numbers that replace the values in the reader.  None means that the values are not replaced.
 
     """
     if isinstance(template, Node):
@@ -158,9 +163,10 @@ def written(value: float, unit: str) -> str:
 
 
 def matches(template: Template, written: Tree, parameters: Values[Parameter]) -> Iterator[Match]:
-    """Yield every match of the tree ``written`` (by ``scenario.write.tree_of``) with the template.
+    """Yield every match of the tree ``written`` with the template.
 
-    A match holds the values of each parameter that occurs in it.
+    ``scenario.write.tree_of`` returns such a tree.  A match contains the values of each parameter that occurs
+    in it.
     """
     yield from _Matcher(parameters).below(template, written, {}, False)
 
@@ -168,14 +174,15 @@ def matches(template: Template, written: Tree, parameters: Values[Parameter]) ->
 class _Matcher:
     """The comparison of a written tree with a template.
 
-    ``strict`` means that fixed parts must be equal too, by which alternatives are distinguished.
+    If ``strict`` is true, fixed parts must be equal as well.  The matcher uses this mode to distinguish
+    between alternatives.
     """
 
     def __init__(self, parameters: Values[Parameter]) -> None:
         self._parameters = parameters
 
     def below(self, template: Template, written: Tree, matched: Match, strict: bool) -> Iterator[Match]:
-        """Yield every way to extend ``matched`` by a subtree of the template and of the written tree."""
+        """Yield every match of ``template`` with ``written`` that extends the match ``matched``."""
         if isinstance(template, Node):
             if not strict or _alike(template, written):
                 yield matched
@@ -249,14 +256,17 @@ class _Matcher:
 
 
 def _with(matched: Match, parameter: int, values: tuple[float, ...]) -> Match | None:
-    """Return ``matched`` with one more parameter; None if it holds other values of the parameter."""
+    """Return ``matched`` extended by one parameter.
+
+    Return None if it already contains different values of the parameter.
+    """
     if parameter in matched:
         return matched if matched[parameter] == values else None
     return {**matched, parameter: values}
 
 
 def _alike(node: Node, written: Tree) -> bool:
-    """Return whether a fixed part equals its written form, as far as the texts alone show it."""
+    """Return whether a fixed part and the written tree are equal, judged by their texts."""
     if isinstance(node, Mapping):
         if not isinstance(written, abc.Mapping) or not _same_keys(node.entries, written):
             return False
@@ -280,17 +290,23 @@ def _alike(node: Node, written: Tree) -> bool:
 
 
 def _same_keys(entries: Values[tuple[Scalar, object]], written: abc.Mapping[str, Tree]) -> bool:
-    """Return whether the written mapping has all keys; its further keys may be defaults."""
+    """Return whether the written mapping has all keys of a template.
+
+    Further keys are allowed, because they may be defaults.
+    """
     return all(scalar_text(key.text) in written for key, _ in entries)
 
 
 def _listed(written: Tree) -> Values[Tree] | None:
-    """Return the members of a written list; None if ``written`` is no list."""
+    """Return the members of a written list, or None if ``written`` is not a list."""
     return None if isinstance(written, str | abc.Mapping) else written
 
 
 def _number(written: Tree, unit: str) -> float | None:
-    """Return the number of a quantity written in ``unit``; None for another unit or another text."""
+    """Return the number of a written quantity.
+
+    Return None if the text is not a quantity with the unit ``unit``.
+    """
     if not isinstance(written, str):
         return None
     number, _, its_unit = written.partition(" ")

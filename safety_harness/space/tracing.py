@@ -1,10 +1,11 @@
-"""The form of a space's scenarios: the places of the drawn values, and the conditions on the values.
+"""The form of a space's scenarios: a scenario with places into which drawn values are inserted.
 
-The ordinary reader reads one scenario of each structure, with a ``TracedNumber`` in place of every number
-that varies.  A traced number acts like its number, but remembers its computation and every comparison that
-used it.  Later values are put at the same paths, if all these comparisons have the same results for them.  A
-conversion, an array or a text cannot be remembered and raises TypeError, so that a form never has a wrong
-value.  A path leads through dataclass fields by their names, and through members of tuples by their numbers.
+The form also contains conditions that the values must satisfy.  To make a form, the ordinary reader reads one
+scenario of each structure, with a ``TracedNumber`` for every number that varies.  A traced number acts like
+an ordinary number, but records its computation and every comparison in which it was used.  Later values are
+inserted at the same paths, provided that all recorded comparisons have the same results for them.  A
+conversion, an array or a text cannot be recorded and raises TypeError, so that a form never contains a wrong
+value.  The steps of a path are the names of dataclass fields and the indices of tuple members.
 """
 
 from __future__ import annotations
@@ -40,19 +41,23 @@ def value_at(root: object, path: Path) -> Any:
 
 
 def with_value(root: T, path: Path, value: object) -> T:
-    """Return ``root`` with ``value`` at ``path``; every object on the way there is new."""
+    """Return a copy of ``root`` in which ``value`` is at the path ``path``.
+
+    Every object along the path is replaced by a new object.
+    """
     return form_of(root, {path: 0})([value])
 
 
 def leaves(root: object, path: Path = (), *, but: Collection[int] = ()) -> list[tuple[Path, Any]]:
-    """Return all values below ``root`` with their paths, in order; dataclasses and tuples are entered.
+    """Return all values below ``root`` with their paths, in order.
 
-    Fields that comparisons ignore (places in files) are skipped.
+    The function descends into dataclasses and tuples.  The function skips fields that are ignored in
+    comparisons, such as places in files.
 
     Args:
-        root: The object to begin with.
+        root: The object at which the search begins.
         path: The path of ``root``.
-        but: The ``id`` of each object to skip.
+        but: The results of ``id`` for the objects that the function skips.
 
     """
     if id(root) in but:
@@ -66,12 +71,15 @@ def leaves(root: object, path: Path = (), *, but: Collection[int] = ()) -> list[
 
 @lru_cache
 def _compared(kind: Any) -> tuple[str, ...]:
-    """Return the names of the fields that comparisons of the dataclass ``kind`` use."""
+    """Return the names of the fields that take part in comparisons of the dataclass ``kind``."""
     return tuple(field.name for field in fields(kind) if field.compare)
 
 
 def form_of(root: T, numbers: Mapping[Path, int]) -> Callable[[Sequence[Any]], T]:
-    """Return a function that makes ``root`` with ``values[numbers[path]]`` at each path."""
+    """Return a function of ``values`` that returns a copy of ``root``.
+
+    In the copy, ``values[numbers[path]]`` is at each path.
+    """
     if () in numbers:
         return itemgetter(numbers[()])
     below: dict[Any, dict[Path, int]] = {}
@@ -99,9 +107,9 @@ def path_text(path: Path) -> str:
 
 
 def _operator(apply: Callable[[Any, Any], Any], *, mirrored: bool = False) -> Callable[[Any, Any], Any]:
-    """Return an operator for ``TracedNumber``.
+    """Return a function that implements an operator of ``TracedNumber``.
 
-    A comparison returns a bool and is recorded; any other operator returns a traced number.
+    A comparison returns a bool and is recorded, and any other operator returns a traced number.
     """
 
     def applied(self: TracedNumber, operand: object) -> Any:
@@ -123,9 +131,11 @@ def _operator(apply: Callable[[Any, Any], Any], *, mirrored: bool = False) -> Ca
 
 
 class TracedNumber:
-    """A number that ``compute`` derives from ``values``, the values of the current point.
+    """A number that remembers how it was computed.
 
-    All numbers of one reading share ``checks``, the list of every comparison so far.
+    ``values`` contains the values of the current point.  The function ``compute`` calculates the number from
+    these values.  All numbers of one reading share the list ``checks``, which contains all comparisons so
+    far.
     """
 
     __array_ufunc__ = None  # numpy refuses to compute with it
@@ -151,13 +161,16 @@ class TracedNumber:
     __repr__ = __str__
 
     def __reduce__(self) -> tuple[type[float], tuple[float]]:
-        """Return the number as a plain float, because another process gets no trace of it."""
+        """Return the number as a plain float, because another process does not need its computation."""
         return float, (self.compute(self.values),)
 
 
 @dataclass(frozen=True, eq=False)
 class Form:
-    """A form for all scenarios of one structure, which differ only in values, name and seed."""
+    """A form for all scenarios of one structure.
+
+    These scenarios differ only in the drawn values, the name and the seed.
+    """
 
     checks: tuple[_Check, ...]
     places: tuple[_Computed, ...]
@@ -165,13 +178,14 @@ class Form:
 
     @classmethod
     def read(cls, row: Values, read: Callable[[Sequence[TracedNumber]], Scenario]) -> Form:
-        """Return the form made by reading one point's values; InputError if the reader raises it.
+        """Make a form by reading the scenario of one point.
 
-        If the reader does more with the numbers than arithmetic, the form fits no point.
+        An InputError of the reader is not caught.  If the reader uses the numbers for more than arithmetic
+        and comparisons, the resulting form fits no point.
 
         Args:
             row: The values of the point.
-            read: The reader, which accepts the traced numbers.
+            read: A function that reads a scenario from traced numbers.
 
         """
         checks: list[_Check] = []
@@ -191,9 +205,9 @@ class Form:
         return cls(tuple(checks), tuple(places), form_of(scenario, numbers))
 
     def filled(self, row: Values, name: str, seed: int) -> Scenario | None:
-        """Return the scenario of a point's values; None if the form does not fit them.
+        """Return the scenario of a point's values, or None if the form does not fit the values.
 
-        In that case, the reader has to make the scenario, or to refuse it.
+        If the result is None, the reader has to make or refuse the scenario.
         """
         if self.fill is None or not all(compute(row) is answer for compute, answer in self.checks):
             return None

@@ -1,4 +1,4 @@
-"""Scenario spaces made in Python from a scenario, and from the values that vary, given by their paths.
+"""Make a scenario space in Python, from a scenario and the values that vary.
 
     space_from(scenario, {
         "hands[0].moves[0].speed": Uniform(0.2, 1.6),
@@ -7,7 +7,7 @@
     })
 
 Numbers are in SI.  A number or a distribution without a unit gets the unit of the value that it replaces.
-Within a mapping, a value is a text as in a file (``{"wait": "1 s"}``) or a distribution with a unit.
+Within a mapping, a value is a text as in a file (``{"wait": "1 s"}``), or a distribution with a unit.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class OneOf:
 
     Args:
         options: The values.
-        chances: Their relative probabilities; None: all are equally likely.
+        chances: The relative probabilities of the values.  None means that all are equally likely.
 
     """
 
@@ -51,11 +51,11 @@ class OneOf:
 
 @dataclass(frozen=True)
 class Switch:
-    """A value that depends on the option of a named choice.
+    """A value that depends on the result of a named choice.
 
     Args:
-        name: The name of the choice, whose options are words.
-        options: A value for each of its words.
+        name: The name of the choice, whose options must be words.
+        options: The value for each word.
 
     """
 
@@ -65,7 +65,7 @@ class Switch:
 
 @dataclass(frozen=True)
 class Ref:
-    """The value of a named choice.
+    """A reference to the value of a named choice.
 
     Args:
         name: The name of the choice.
@@ -77,10 +77,10 @@ class Ref:
 
 @dataclass(frozen=True)
 class Repeat:
-    """Members of a list that are repeated.
+    """Members of a list, repeated several times.
 
     Args:
-        least: The least number of repetitions.
+        least: The smallest number of repetitions.
         most: The largest number of repetitions.
         moves: The members.
 
@@ -114,12 +114,13 @@ def space_from(
     *,
     choices: Mapping[str, Value] | None = None,
 ) -> ScenarioSpace:
-    """Return the space of scenarios that differ from ``scenario`` in the values that vary.
+    """Return the space of scenarios that equal ``scenario`` except for the values that vary.
 
     Args:
         scenario: The scenario.
-        varied: New values by their paths, such as ``hands[0].moves[1].speed``.
-        choices: Named values, which ``Ref`` and ``Switch`` use.  None: no named values.
+        varied: The new values.  The keys are paths, such as ``hands[0].moves[1].speed``.
+        choices: Named values, to which ``Ref`` and ``Switch`` refer.  None means that there are no such
+            values.
 
     Raises:
         ScenarioError: The scenario lacks a path, or ``parse_space`` would refuse the space.
@@ -146,7 +147,10 @@ def space_from(
 
 
 def _replaced(node: Node, steps: Values[int | str], new: Node) -> Node:
-    """Return the tree with ``new`` at the path ``steps``; missing mappings on the way are created."""
+    """Return the tree with ``new`` at the path ``steps``.
+
+    Missing mappings along the path are created.
+    """
     if not steps:
         return new
     step, rest = steps[0], steps[1:]
@@ -164,7 +168,10 @@ def _replaced(node: Node, steps: Values[int | str], new: Node) -> Node:
 
 
 def _unit(node: Node) -> str:
-    """Return the SI unit of a written quantity, or of a list's first member; empty if there is none."""
+    """Return the SI unit of a written quantity, or of the first member of a list.
+
+    The unit is empty if there is no unit.
+    """
     while isinstance(node, SequenceNode) and node.items:
         node = node.items[0]
     if not isinstance(node, Scalar):
@@ -178,7 +185,7 @@ def _unit(node: Node) -> str:
 
 
 def _node(value: Value, unit: str) -> Node:
-    """Return ``value`` as the node that a file would contain."""
+    """Return ``value`` as the node that a file would contain for it."""
 
     def text(number: float) -> str:
         return written(number, getattr(value, "unit", "") or unit)

@@ -1,4 +1,4 @@
-"""Scenario spaces as text: the tree as it was written, but without comments."""
+"""Write a scenario space as text, from the tree that was read, without comments."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ _QUANTITY = re.compile(r"[+-]?[0-9.][A-Za-z0-9./%]*(?: [A-Za-z0-9./%-]+)*")
 
 
 def write_space(space: ScenarioSpace) -> str:
-    """Return YAML text from which ``parse_space`` returns the space, except its name and places.
+    """Return YAML text that ``parse_space`` reads as the same space.
+
+    Only the name and the places differ.
 
     Args:
         space: The space.

@@ -1,4 +1,7 @@
-"""Provide the interface for tests: scenarios to draw, and claims whose failure shows a picture and a command.
+"""Provide the interface for tests.
+
+Tests draw scenarios and check claims; a failed claim is reported with a picture and with a command that
+repeats the run.
 
     from hypothesis import given
     from safety_harness.testing import assert_holds, hand_distance, mm, scenarios
@@ -49,6 +52,9 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    """Return the public names, for ``dir`` and an interpreter's completion."""
+    """Return the public names.
+
+    ``dir`` and the name completion of interpreters use them.
+    """
     language = import_module("safety_harness.claims.formulas.language")
     return sorted([*language.__all__, *_HOMES])

@@ -39,7 +39,10 @@ TRUTH = ("joint_position_rad", "joint_velocity_radps", "transform_tcp_to_base", 
 
 
 class SafetyViolation(SafetyHarnessError, AssertionError):
-    """The error for a claim with the wrong verdict; its text gives time, reason and a replay command."""
+    """The error for a claim with the wrong verdict.
+
+    Its text states the time, the reason and a command that repeats the run.
+    """
 
     __module__ = "safety_harness.testing"  # the module from which users import it, for test summaries
 
@@ -68,8 +71,8 @@ class NotEstablished(SafetyHarnessError, AssertionError):
 def assert_holds(claim: Formula | Property | str, trace: Trace) -> Evaluation:
     """Fail the test unless the claim ``claim`` holds in ``trace``.
 
-    Under Hypothesis, an inconclusive run does not fail the test, for example if the hand never came near.
-    After the last run, the test fails if every run was inconclusive.
+    Under Hypothesis, an inconclusive run does not fail the test. For example, a run is inconclusive if the
+    hand never came near. After the last run, the test fails if every run was inconclusive.
 
     Args:
         claim: a formula, a property, or a sentence as in a scenario file.
@@ -79,9 +82,9 @@ def assert_holds(claim: Formula | Property | str, trace: Trace) -> Evaluation:
         The evaluation of the claim, with verdict, margin and reason.
 
     Raises:
-        SafetyViolation: the run violates the claim or is no evidence for it.  The error is also raised if the
-            avoider gave no answer in the run.  A scenario can allow that by the claim ``the avoider answered:
-            violated``.
+        SafetyViolation: the run violates the claim or is no evidence for the claim. The error is also raised
+            if the avoider gave no answer in the run. A scenario can allow that by the claim ``the avoider
+            answered: violated``.
         InputError: the harness does not know the sentence, or an argument has the wrong type.
 
     """
@@ -112,7 +115,7 @@ def judged_of(prop: Property, trace: Trace) -> Evaluation:
 
 
 def refuse_fallback(trace: Trace) -> None:
-    """Raise SafetyViolation if the avoider gave no answer, unless the scenario expects that."""
+    """Raise SafetyViolation if the avoider gave no answer, unless the scenario expects a missing answer."""
     __tracebackhide__ = True
     evaluation = by_default(trace)
     if evaluation is not None:
@@ -124,8 +127,8 @@ def require(
 ) -> None:
     """Raise SafetyViolation if ``evaluation`` must fail the running test.
 
-    With a reference (``--against``), the function also judges the reference's run.  A log has no such
-    comparison, because the reference cannot run in the recorded cell.
+    If the session has a reference (``--against``), the function also judges the reference's run. For a log,
+    the function makes no such comparison, because the reference cannot run in the recorded cell.
 
     Args:
         evaluation: the judgement of ``trace``.
@@ -145,7 +148,10 @@ def require(
 def violation_of(
     evaluation: Evaluation, trace: Trace, expected: Verdict, difference: ClaimDifference | None
 ) -> SafetyViolation:
-    """Return the violation to raise; if there is a reference's run, add a note on it."""
+    """Return the violation to raise.
+
+    If the reference has run, the violation has a note on the reference's run.
+    """
     violation = SafetyViolation(evaluation, trace, expected)
     if difference is not None:
         violation.add_note(note_of(difference))
@@ -153,7 +159,7 @@ def violation_of(
 
 
 def run_of(trace: Trace) -> Run:
-    """Return the record that a session keeps of a run: names, seed, world, and whether the run is sound."""
+    """Return the record of a run that a session keeps after the trace is deleted."""
     return Run(
         name=trace.scenario.name,
         tested=trace.system.label,
@@ -169,7 +175,10 @@ def _is_measured(trace: Trace) -> bool:
 
 
 def settle(evaluation: Evaluation, run: Run, expected: Verdict, trace: Trace | None) -> bool:
-    """Record a judgement in the running test; return False if the test must fail because of it."""
+    """Record a judgement in the running test.
+
+    Return False if the test must fail because of this judgement.
+    """
     test = session().test
     # Only a sound run may be inconclusive without a failure: it simply did not test the claim.
     undecided = evaluation.verdict is Verdict.INCONCLUSIVE and run.sound
@@ -226,9 +235,10 @@ def _caller() -> Place:
 def against_reference(
     trace: Trace, mine: Evaluation, judge: Callable[[Trace], Evaluation]
 ) -> ClaimDifference | None:
-    """Judge the same claim in the reference's run of this scenario; None without a reference.
+    """Judge the same claim in the reference's run of this scenario.
 
-    The running test keeps the difference for the session's summary.
+    Return None if the session has no reference. The running test stores the difference, so that the session
+    can include it in its summary.
 
     Args:
         trace: the run by the avoider under test.
@@ -255,7 +265,10 @@ def against_reference(
 
 
 def is_shared(difference: ClaimDifference | None) -> bool:
-    """Return whether the reference does no better; the running test then ends as skipped, not as failed."""
+    """Return whether the reference is no better than the avoider under test.
+
+    In this case, the running test ends as skipped.
+    """
     test = session().test
     if difference is None or test is None or difference.change in _WORSE:
         return False
@@ -264,7 +277,10 @@ def is_shared(difference: ClaimDifference | None) -> bool:
 
 
 def note_of(difference: ClaimDifference) -> str:
-    """Return the line of a failure text that compares the failure with the reference's run."""
+    """Return the line that compares a failure with the reference's run.
+
+    The line becomes part of the failure's text.
+    """
     return f"{difference.change.value}: {difference.summary(_name())}"
 
 

@@ -93,7 +93,7 @@ def gives_scenarios(strategy: object) -> bool:
 
 
 def one_system(space: ScenarioSpace) -> Scenario | None:
-    """Return a scenario that has the avoider or controller of all draws.
+    """Return a scenario with the avoider or controller that all draws have.
 
     The result is None if the space varies the avoider or controller.
     """
@@ -102,7 +102,10 @@ def one_system(space: ScenarioSpace) -> Scenario | None:
 
 
 def one_system_of(strategy: object) -> Scenario | None:
-    """Return the result of ``one_system`` for a strategy; None if it draws from several files."""
+    """Return the result of ``one_system`` for a strategy.
+
+    Return None if the strategy draws from several files.
+    """
     return getattr(strategy, _MARK, None)
 
 

@@ -1,4 +1,8 @@
-"""Write the text of a failed claim: margin, moment, the decision before it, a picture, and the command."""
+"""Write the text of a failed claim.
+
+The text has the margin, the moment of the failure, the decision before it, a picture, and the command that
+repeats the run.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +37,7 @@ def failure_text(
 ) -> str:
     """Return the whole text of a failure.
 
-    ``scenario`` is the scenario that the test passed, and ``test`` the failed test.
+    ``scenario`` is the scenario that the test passed, and ``test`` is the failed test.
     """
     runs = not is_of_an_object(trace)
     trace = as_measured(trace)
@@ -113,7 +117,10 @@ def _scenario(scenario: Scenario, test: TestRun | None) -> list[str]:
 
 
 def again(scenario: Scenario, test: TestRun | None, *, runs: bool) -> list[str]:
-    """Return the commands that repeat a failure; with ``runs``, include one that runs the scenario's file."""
+    """Return the commands that repeat a failure.
+
+    If ``runs`` is true, the commands include one that runs the scenario's file.
+    """
     avoider = session().avoider
     own = [] if avoider is None else ["--avoider", avoider]
     chosen = [session().world] if session().world not in ("", "PyBullet") else []
@@ -133,7 +140,10 @@ def _with(option: str, values: list[str]) -> list[str]:
 
 
 def _is_what_its_file_holds(scenario: Scenario) -> bool:
-    """Return whether the scenario equals the one in its file, so that it is neither drawn nor changed."""
+    """Return whether the scenario equals a scenario in its file.
+
+    The result is False if the scenario was drawn or changed.
+    """
     if scenario.file is None:
         return False
     return digest_of(scenario) in map(digest_of, gather([scenario.file], spaces=True).scenarios)
@@ -146,22 +156,26 @@ def in_store(scenario: Scenario) -> bool:
 
 
 def nearest_path(file: Path) -> Path:
-    """Return the path relative to the working directory, or a shipped file's name, or the path itself."""
+    """Return the path relative to the working directory.
+
+    For a file outside this directory, return its shipped name or, for other files, the path itself.
+    """
     try:
         return file.resolve().relative_to(Path.cwd())
     except ValueError:
         return Path(shipped_name(file.resolve()) or file)
 
 
-WIDTH, HEIGHT = 60, 10
+WIDTH, HEIGHT = 60, 10  # in characters, so that a picture fits into a terminal of 80 columns
 _FARTHEST_M = 0.8  # larger distances are drawn at the upper edge
 
 
 @dataclass(frozen=True, eq=False)
 class _Signal:
-    """The drawn ``values`` (n,) at the ticks.
+    """A signal to be drawn.
 
-    ``worst`` chooses the value of each column; the value ``most`` lies at the upper edge.
+    ``values`` (n,) are its values at the ticks. ``worst`` reduces the values of a column to the value to be
+    drawn. The value ``most`` is drawn at the upper edge of the picture.
     """
 
     title: str
@@ -172,11 +186,11 @@ class _Signal:
 
 
 def picture(trace: Trace, evaluation: Evaluation) -> list[str]:
-    """Return the picture as lines of at most 70 characters; empty if the trace has nothing to draw.
+    """Return the picture as lines of at most 70 characters.
 
-    For a claim about the TCP speed, the picture shows this speed.  Otherwise it shows the distance from the
-    nearest hand to the arm's surface.  Each column shows the least distance, or the largest speed, of its
-    stretch of time.
+    The list is empty if the trace has no data to draw. For a claim about the TCP speed, the picture shows
+    this speed. Otherwise it shows the distance from the nearest hand to the arm's surface. Each column
+    represents a stretch of time, and shows the least distance or the largest speed in this stretch.
     """
     if len(trace.ticks) < 2:
         return []
@@ -198,6 +212,7 @@ def _drawn(trace: Trace, evaluation: Evaluation, signal: _Signal) -> list[str]:
     if not len(finite):
         return []
     bottom = min(0.0, float(finite.min()))
+    # The limit is always in view, and a constant signal still has a height.
     top = max(min(float(finite.max()), signal.most), signal.limit or 0.0, float(finite.min()) + 1e-3)
     canvas = [[" "] * width for _ in range(HEIGHT)]
     labels = {0: top, HEIGHT - 1: bottom}

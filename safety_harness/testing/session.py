@@ -28,8 +28,8 @@ FAILURES = Path(".safety-harness") / "failures"
 class Profile:
     """The effort of a test.
 
-    ``examples`` is the number of scenarios that each test draws, ``shrinking_runs`` the number of simulations
-    after a failure.
+    ``examples`` is the number of scenarios that each test draws, and ``shrinking_runs`` is the number of
+    simulations after a failure.
     """
 
     name: str
@@ -43,7 +43,10 @@ PROFILES = (QUICK, Profile("nightly", 500, 400), Profile("certify", 3000, 2000))
 
 @dataclass(frozen=True)
 class Run:
-    """The facts about a run that are kept after its trace; ``sound``: the run was complete and all finite."""
+    """The facts about a run that remain after its trace is deleted.
+
+    ``sound`` is True if the run was complete and all its values are finite.
+    """
 
     name: str  # of its scenario
     tested: str  # "avoider" or "controller", and its name
@@ -55,7 +58,10 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """A claim that a test judged in a run; ``expected`` is the verdict that the test or the file expects."""
+    """A claim that a test judged in a run.
+
+    ``expected`` is the verdict that the test or the file expects.
+    """
 
     run: Run
     evaluation: Evaluation
@@ -63,7 +69,7 @@ class Judgement:
 
     @property
     def severity(self) -> tuple[bool, float]:
-        """Return a sort key, worst first: unexpected verdicts, then the least margin."""
+        """Return a sort key that puts unexpected verdicts first, and then the least margins."""
         evaluation, margin = self.evaluation, self.evaluation.margin
         broken = evaluation.verdict is not self.expected and evaluation.verdict.value != "inconclusive"
         return not broken, inf if margin is None else margin
@@ -73,9 +79,9 @@ class Judgement:
 class TestRun:
     """A running test, its judgements so far, and its failure if it has failed.
 
-    ``draws`` states that Hypothesis chooses the scenarios.  In this case an inconclusive run is no failure,
-    unless all runs are inconclusive.  After the first ``failure``, Hypothesis only simplifies the failing
-    example; these runs do not count as evidence.
+    ``draws`` states that Hypothesis chooses the scenarios. In this case an inconclusive run is no failure,
+    unless all runs are inconclusive. After the first ``failure``, Hypothesis only simplifies the failing
+    example. The runs of this phase are not evidence.
     """
 
     __test__ = False  # its name is not meant for pytest
@@ -108,7 +114,10 @@ class TestRun:
 
     @property
     def counts(self) -> bool:
-        """Return whether the current run counts as evidence, and not only simplifies a failing example."""
+        """Return whether the current run counts as evidence.
+
+        A run is not evidence if Hypothesis only simplifies a failing example.
+        """
         return self.failure is None or not self.draws
 
     def fail(self, failure: BaseException) -> None:
@@ -117,14 +126,17 @@ class TestRun:
         self.failing |= self.simulated
 
     def note(self, judgement: Judgement, trace: Trace | None) -> None:
-        """Record a judgement; keep it for the summary if it is the worst of its sentence so far."""
+        """Record a judgement.
+
+        If it is the worst judgement of its sentence so far, it is also kept for the summary.
+        """
         self.judgements.append(judgement)
         earlier = self.worst.get(judgement.evaluation.sentence)
         if earlier is None or judgement.severity < earlier.severity:
             self.show(judgement, trace)
 
     def show(self, judgement: Judgement, trace: Trace | None) -> None:
-        """Make ``judgement`` the one that summaries and the report show for its sentence."""
+        """Record ``judgement`` as the judgement that summaries and the report use for its sentence."""
         sentence = judgement.evaluation.sentence
         self.worst[sentence] = judgement
         if self.keep_traces and trace is not None:
@@ -133,7 +145,10 @@ class TestRun:
 
 @dataclass(eq=False)
 class Session:
-    """A session of tests; its defaults suit a script or a notebook without pytest."""
+    """A session of tests.
+
+    The default values are suitable for a script or a notebook that does not use pytest.
+    """
 
     root: Path = field(default_factory=Path.cwd)
     profile: Profile = QUICK
@@ -161,7 +176,7 @@ def session() -> Session:
 
 
 def begin(new: Session) -> Session:
-    """Make ``new`` the session of this process; return the session that it replaces."""
+    """Make ``new`` the session of this process, and return the earlier session."""
     global _current
     previous, _current = _current, new
     return previous

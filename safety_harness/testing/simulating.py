@@ -44,7 +44,10 @@ def original(trace: Trace) -> Scenario:
 
 
 def is_of_an_object(trace: Trace) -> bool:
-    """Return whether a test passed an avoider or a controller as an object, which no command can name."""
+    """Return whether a test passed an avoider or a controller as an object.
+
+    A command cannot contain such an object.
+    """
     return trace in _of_objects
 
 
@@ -68,7 +71,11 @@ def as_asked(scenario: Scenario) -> Scenario:
 
 
 def avoiders_asked() -> list[tuple[str | None, str]]:
-    """Return the avoider of ``--avoider`` or None, then any reference, each with the name of its option."""
+    """Return pairs of an avoider and the name of its option.
+
+    The first pair has the avoider of ``--avoider``, or None. A second pair follows if the session has a
+    reference.
+    """
     now = session()
     reference = [] if now.against is None else [(now.against, "--safety-against")]
     return [(now.avoider, option_of(now.avoider or "")), *reference]
@@ -79,7 +86,10 @@ admitter = Admitter()  # shared by all runs, so that an avoider that remembers a
 
 
 def sought_from(path: Path, caller: FrameType | None) -> Path:
-    """Return ``path`` relative to the folder of the calling file, or else relative to pytest's root."""
+    """Return ``path`` relative to the folder of the calling file, if the file exists there.
+
+    Otherwise return the path relative to pytest's root.
+    """
     if path.is_absolute() or caller is None:
         return path
     beside = Path(caller.f_code.co_filename).parent / path
@@ -87,9 +97,10 @@ def sought_from(path: Path, caller: FrameType | None) -> Path:
 
 
 class Simulate:
-    """The callable ``simulate(scenario)``; it returns the same trace for the same scenario.
+    """The callable ``simulate(scenario)``.
 
-    It runs the scenario in PyBullet, or in the world of ``--safety-world``.
+    Two calls with the same scenario return the same trace. A call runs the scenario in the world of
+    ``--safety-world``, or in PyBullet if the option is absent.
 
     Args:
         scenario: A scenario, or the path of its file.  A relative path is resolved as in ``scenarios``.
@@ -145,7 +156,10 @@ class Simulate:
         return trace
 
     def with_reference(self, trace: Trace) -> Trace:
-        """Run the same scenario with the avoider of ``--safety-against``; raise what a call raises."""
+        """Run the scenario of ``trace`` with the avoider of ``--safety-against``.
+
+        If this run raises an error, the error is not caught.
+        """
         reference = session().against
         assert reference is not None
         place = Place(field="--safety-against")
@@ -157,6 +171,7 @@ class Simulate:
             test.simulated.add(digest)
         if digest in self._traces:
             self._traces.move_to_end(digest)
+            # The digest ignores the scenario's name, so the remembered trace may have another name.
             return replace(self._traces[digest], scenario=scenario)
         _refuse_more_shrinking(test, digest)
         try:
@@ -166,6 +181,7 @@ class Simulate:
                 test.refused[digest] = error
             raise
         self._traces[digest] = trace
+        # Forget the trace that was not used for the longest time, but never the present one.
         while len(self._traces) > 1 and sum(len(trace.ticks) for trace in self._traces.values()) > MOST_TICKS:
             self._traces.popitem(last=False)
         return trace
@@ -175,7 +191,10 @@ simulate = Simulate()  # shared by all tests, so that claims of one scenario are
 
 
 def _run(admitted: Admitted) -> Trace:
-    """Run a scenario; raise KeyboardInterrupt after Ctrl-C, and FlakyAvoiderError for a flaky avoider."""
+    """Run a scenario.
+
+    Raise KeyboardInterrupt after Ctrl-C, and FlakyAvoiderError for a flaky avoider.
+    """
     named = session().world
     trace = run_trial(admitted, world=world_named(named, "--safety-world") if named else default_world())
     if trace.ended == INTERRUPTED:
@@ -188,7 +207,7 @@ def _run(admitted: Admitted) -> Trace:
 
 
 def _refuse_more_shrinking(test: TestRun | None, digest: str) -> None:
-    """Reject further scenarios once the profile's number of runs after a failure is used up."""
+    """Reject further scenarios once the test has used up the runs that the profile allows after a failure."""
     if test is None or test.counts:
         return
     if digest in test.refused:

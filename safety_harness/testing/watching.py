@@ -1,6 +1,7 @@
-"""Run a Hypothesis test under a safety profile: apply settings, try kept failures first, watch examples.
+"""Run a Hypothesis test under a safety profile.
 
-The harness keeps failures as scenario files in a folder that people can read.  In the next session, it tries
+The harness applies the settings of the profile, tries the kept failures first, and watches the examples. The
+harness keeps failures as scenario files in a folder that people can read.  In the next session, it tries
 these failures first.  Hypothesis's own database stores the choices as bytes.  These bytes lose their meaning
 when a space, a strategy or Hypothesis changes, whereas a scenario file keeps its meaning.
 """
@@ -49,7 +50,7 @@ def under_profile(own: settings | None = None, *, fixed: bool = False) -> settin
     """Return the settings of a test, adapted to the profile of the session.
 
     Args:
-        own: the settings of the test; None for Hypothesis's defaults.
+        own: the settings of the test; None means Hypothesis's defaults.
         fixed: whether the test itself sets its number of examples, which is then kept.
 
     """
@@ -61,6 +62,7 @@ def under_profile(own: settings | None = None, *, fixed: bool = False) -> settin
         max_examples=examples,
         backend=NAME if own.backend == "hypothesis" else own.backend,
         deadline=None,
+        # The harness keeps failures as scenario files, and its provider draws with the session's seed.
         database=None,
         derandomize=session().derandomize,
         print_blob=False,
@@ -73,6 +75,7 @@ def under_profile(own: settings | None = None, *, fixed: bool = False) -> settin
 @contextmanager
 def watched(function: Any, test: TestRun) -> Iterator[None]:
     """Apply ``under_profile`` to ``function``, a test with ``@given``, and restore the test afterwards."""
+    # The attributes are not part of Hypothesis's public interface, so ``finally`` restores each of them.
     handle = function.hypothesis
     saved = {
         "_hypothesis_internal_use_settings": function._hypothesis_internal_use_settings,
@@ -82,6 +85,7 @@ def watched(function: Any, test: TestRun) -> Iterator[None]:
     inner = handle.inner_test
     own, usual = function._hypothesis_internal_use_settings, settings.default
     assert usual is not None
+    # Only a number of examples that the test itself sets stays; the profile replaces the default.
     applied = hasattr(function, "_hypothesis_internal_settings_applied")
     fixed = applied and own.max_examples != usual.max_examples
     function._hypothesis_internal_use_settings = under_profile(own, fixed=fixed)
@@ -117,7 +121,7 @@ def watching(inner: Callable[..., object], test: TestRun) -> Callable[..., None]
 
 
 def _kept(function: Any, test: TestRun) -> Iterator[Any]:
-    """Yield the test's kept failures as explicit examples, if a scenario is all that the test draws."""
+    """Yield the test's kept failures as explicit examples, if the test draws only a scenario."""
     names = list(function.hypothesis._given_kwargs)
     if len(names) != 1:
         return
@@ -180,7 +184,10 @@ def kept_for(test: TestRun, like: Scenario | None) -> Iterator[Scenario]:
 
 
 def _is_known(claim: Claim, scenario: Scenario) -> bool:
-    """Return whether the harness can read the claim's sentence; a user's own property may have none."""
+    """Return whether the harness can read the claim's sentence.
+
+    It may be unable to read the sentence of a user's own property.
+    """
     try:
         property_of(claim, scenario)
     except InputError:
@@ -201,10 +208,10 @@ _LARGEST = 2**64
 class Independent(HypothesisProvider):
     """A Hypothesis provider that draws each number between two bounds independently.
 
-    Hypothesis derives most of its examples from earlier examples.  That finds bugs in parsers, but places
-    half of fifty hands at the same point.  This provider therefore draws the first half of the examples
-    afresh, with every choice uniform within its bounds.  Hypothesis draws the second half, guided by the
-    margins of the first half.
+    Hypothesis derives most of its examples from earlier examples. This strategy finds bugs in parsers, but it
+    would place half of fifty hands at the same point. This provider therefore draws the first half of the
+    examples afresh, with every choice uniform within its bounds. Hypothesis draws the second half, guided by
+    the margins of the first half.
     """
 
     def draw_integer(
@@ -215,7 +222,10 @@ class Independent(HypothesisProvider):
         weights: dict[int, float] | None = None,
         shrink_towards: int = 0,
     ) -> int:
-        """Draw uniformly between two bounds; let Hypothesis draw if a bound is missing or weights apply."""
+        """Draw uniformly between two bounds.
+
+        Hypothesis draws instead if a bound is missing or weights apply.
+        """
         self._stop_at_half()
         if min_value is None or max_value is None or weights or self._random is None:
             return super().draw_integer(min_value, max_value, weights=weights, shrink_towards=shrink_towards)
@@ -229,7 +239,10 @@ class Independent(HypothesisProvider):
         allow_nan: bool = True,
         smallest_nonzero_magnitude: float,
     ) -> float:
-        """Draw uniformly between two bounds; let Hypothesis draw if a bound is 2**64 or larger in size."""
+        """Draw uniformly between two bounds.
+
+        Hypothesis draws instead if a bound exceeds 2**64.
+        """
         self._stop_at_half()
         if not -_LARGEST < min_value <= max_value < _LARGEST or self._random is None:
             return super().draw_float(

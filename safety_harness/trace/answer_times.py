@@ -1,4 +1,8 @@
-"""Answer times on the machine of a run, against the run's limit; they are reported, but never compared."""
+"""Compare the wall-clock time of answers with the time limit of the run.
+
+The times depend on the machine of the run. These times appear in reports, but comparisons of traces ignore
+them.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +20,11 @@ MOST_SLOW = 0.05  # of the answers: with more, the 95th percentile is above the 
 
 @dataclass(frozen=True)
 class AnswersTook:
-    """The number of timed ``answers``, and of ``slow`` answers that took longer than ``limit_s`` [s].
+    """Counts of timed answers.
 
-    The limit is the largest cost of an answer in simulated time. If answers cost nothing, the limit is one
-    control period. ``slowest_s`` [s] is the longest wall-clock time of an answer.
+    ``answers`` is the number of all timed answers, and ``slow`` is the number of those that took longer than
+    ``limit_s`` [s]. The limit is the largest cost of an answer in simulated time. If answers cost nothing,
+    the limit is one control period. ``slowest_s`` [s] is the longest wall-clock time of an answer.
     """
 
     answers: int = 0
@@ -29,7 +34,11 @@ class AnswersTook:
 
     @classmethod
     def from_trace(cls, trace: Trace) -> AnswersTook:
-        """Return the answer times of one run, without answers given together, which have no time each."""
+        """Return the answer times of one run.
+
+        Answers that were computed together in one call are left out, because the time of a single answer is
+        unknown.
+        """
         took_s = trace.answer_s if trace.scenario.driven else trace.decision_latency_s
         limit_s = most_cost_s(trace) or trace.scenario.settings.clock.control_period_s
         took_s = took_s[took_s > 0.0]
@@ -46,7 +55,7 @@ class AnswersTook:
 
     @property
     def summary(self) -> str:
-        """A sentence about slow answers; empty if the 95th percentile is within the limit."""
+        """A sentence about slow answers, which is empty if the 95th percentile is within the limit."""
         if self.slow <= MOST_SLOW * self.answers:
             return ""
         share = share_words(self.slow, self.answers)

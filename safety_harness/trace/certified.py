@@ -1,6 +1,7 @@
-"""Proofs about the decisions of a run, made later on request; no verdict uses them.
+"""Proofs about the decisions of a run.
 
-``extensions.lab.proof.decisions`` makes the proofs. They become part of the trace and change no other part.
+Proofs are computed on request after the run, and no verdict uses them. ``extensions.lab.proof.decisions``
+makes the proofs. The proofs become part of the trace and change no other part.
 """
 
 from __future__ import annotations
@@ -15,7 +16,10 @@ from safety_harness.trace.system import Line
 
 
 class Sameness(Enum):
-    """Whether all hands in a box have the same outcome; ``OTHER`` means that a hand has another outcome."""
+    """The result of a proof: whether all hands in a box have the same outcome.
+
+    ``OTHER`` means that a hand has another outcome.
+    """
 
     SAME = "the same"
     OTHER = "not the same"
@@ -25,10 +29,10 @@ class Sameness(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class CertifiedDecision:
-    """Whether each of two outcomes of a decision is the same for all hands in the box.
+    """The results of a proof for two outcomes of a decision.
 
-    ``certain`` is about the outcome that the spread is small enough. ``away`` is about the outcome that the
-    way leads away from the hand.
+    Each result states whether the outcome is the same for all hands in the box. ``certain`` is about whether
+    the spread is small enough. ``away`` is about whether the way leads away from the hand.
     """
 
     certain: Sameness
@@ -43,7 +47,7 @@ class CertifiedDecision:
 
     @property
     def summary(self) -> str:
-        """The result in words; ``not the same: leads away``, for example, names the outcome that differs."""
+        """The result as text; for example, ``not the same: leads away`` states the outcome that differs."""
         if self.whole in (Sameness.SAME, Sameness.NONE):
             return str(self.whole.value)
         checks = {"certain": self.certain, "leads away": self.away}
@@ -54,7 +58,7 @@ class CertifiedDecision:
 class CertifiedDecisions:
     """A proof for each decision of a run.
 
-    It covers all hands whose coordinates are each within ``half_m`` of the hand in the question.
+    Each proof covers all hands whose coordinates are within ``half_m`` of the hand in the question.
     """
 
     half_m: Annotated[float, Meta(ge=0.0, le=1.0)]
@@ -63,7 +67,10 @@ class CertifiedDecisions:
 
     @property
     def summary(self) -> str:
-        """The number of decisions with each result, in words."""
+        """The number of decisions with each result.
+
+        The keys are the texts of the results.
+        """
         counts = {kind: sum(decision.whole is kind for decision in self.decisions) for kind in Sameness}
         parts = [f"{count} {kind.value}" for kind, count in counts.items() if count]
         return f"{len(self.decisions)} decisions for every hand within {self.half_m * 1e3:g} mm by axis: " + (

@@ -36,14 +36,16 @@ CLOSE = 1e-6  # tolerance, relative and in SI, for traces whose last bits may di
 def first_difference(first: Trace, second: Trace, tolerance: float = 0.0) -> TraceDifference | None:
     """Return the first difference between two traces, or None if ticks, decisions and end are the same.
 
-    If the traces do not measure a column in the same way, this column is the first difference. Otherwise, it
-    is the earliest record that differs in a column that both measured. At equal times a decision comes before
-    a tick, because the tick's command follows from the decision.
+    If a column was not measured in the same way in both traces, the first such column is the first
+    difference. Otherwise, the first difference is the earliest record that differs in a column that both
+    traces measured. At equal times a decision comes before a tick, because the tick's command follows from
+    the decision.
 
     Args:
         first: A trace.
         second: Another trace of the same scenario.
-        tolerance: By how much numbers may differ, relatively or in their SI unit; 0 compares bits.
+        tolerance: The largest allowed difference of numbers, both as a relative difference and as an absolute
+            difference in the SI unit. The default 0 compares bits.
 
     """
     for trace in (first, second):
@@ -69,7 +71,10 @@ def first_difference(first: Trace, second: Trace, tolerance: float = 0.0) -> Tra
 
 
 def _compare_rows(name: str, first: Trace, second: Trace, tolerance: float) -> TraceDifference | None:
-    """Return the first difference in the rows ``name`` of a shield or an engine, with its tick's time."""
+    """Return the first difference in the rows ``name``, and the time of its tick.
+
+    The rows are those of a shield or an engine.
+    """
     a, b = getattr(first, name), getattr(second, name)
     if len(a) != len(b):
         lengths = f"{len(a)} ticks", f"{len(b)} ticks"
@@ -102,6 +107,7 @@ def _compare(
         same = _same(a, b, tolerance).all(axis=tuple(range(1, a.ndim)))
         if same.all():
             continue
+        # All fields that differ first at the same record belong to one difference.
         at = int(np.argmin(same))
         if at < index:
             index, fields = at, [name]
@@ -126,7 +132,11 @@ def _compare(
 
 
 def _same(first: NDArray[np.generic], second: NDArray[np.generic], tolerance: float) -> NDArray[np.bool_]:
-    """Return where two columns have the same bits or, with a tolerance, nearly the same numbers."""
+    """Return a mask of the elements that are equal in two columns.
+
+    Without a tolerance, elements are equal if their bits are equal; with a tolerance, nearly equal numbers
+    are also equal.
+    """
     if tolerance > 0.0 and first.dtype == np.float64:
         return np.asarray(np.isclose(first, second, rtol=tolerance, atol=tolerance, equal_nan=True))
     return np.asarray(_bits(first) == _bits(second))

@@ -1,8 +1,8 @@
-"""Checks of a trace's records against each other, without the robot: can a run have written them?
+"""Checks of a trace's records against each other.
 
-A hash protects a stored trace against damage, but an editor of the file can write a new hash. These checks
-refuse a nonsensical trace before any verdict. Only a repetition of the run shows whether a sensible trace is
-true.
+They find out, without a robot, whether a run can have written the records. A hash protects a stored trace
+against damage, but an editor of the file can write a new hash. These checks refuse a nonsensical trace before
+any verdict. Only a repetition of the run shows whether a sensible trace is true.
 """
 
 from __future__ import annotations
@@ -34,14 +34,16 @@ COMPARED = {  # columns that are checked by others
     "decision.asked_tick": ("decision.tick",),
     "decision.decision_time_s": ("decision.tick", "decision.asked_tick"),
 }
+# Unicode's last code point, and its surrogates, which no text file can contain.
 LARGEST_CHARACTER, SURROGATES = 0x10FFFF, (0xD800, 0xDFFF)
 
 
 @dataclass(frozen=True)
 class Inconsistency:
-    """The first record whose value of ``field`` no run can have written.
+    """The first record with an impossible value of ``field``.
 
-    ``what`` is "tick", "decision", or "trace" for the whole trace; ``index`` counts from 0.
+    No run can have written such a value. ``what`` is "tick" or "decision" for a record, and "trace" for the
+    whole trace. ``index`` is the record's index, counted from 0.
     """
 
     field: str
@@ -52,7 +54,7 @@ class Inconsistency:
 
     @property
     def where(self) -> str:
-        """The field and the record, as an error states them."""
+        """The field and the record, in the form in which an error states them."""
         return self.field if self.what == "trace" else f"{self.field} at {self.what} {self.index}"
 
     def __str__(self) -> str:
@@ -75,7 +77,11 @@ def first_inconsistency(trace: Trace) -> Inconsistency | None:
 
 
 def _is_known(known: Knowledge, flaw: Inconsistency) -> bool:
-    """Return whether the wrong field, and the columns that it is compared with, were measured there."""
+    """Return whether the wrong field was measured until the tick of ``flaw``.
+
+    The columns with which this field is compared must also have been measured until then. For a decision, it
+    is sufficient that the columns are in the trace.
+    """
     name = OF_DECISIONS * (flaw.what == "decision") + flaw.field
     names = (name, *COMPARED.get(name, ()))
     gap = known.first_gap(names)
@@ -85,7 +91,7 @@ def _is_known(known: Knowledge, flaw: Inconsistency) -> bool:
 def at_first(
     bad: NDArray[np.bool_], field: str, kind: str, expected: str, values: NDArray[np.generic]
 ) -> Iterator[Inconsistency]:
-    """Yield an inconsistency for the first record (n, ...) in which any element is ``bad``, with its value.
+    """Yield an inconsistency for the first record with a ``bad`` element, and the record's value.
 
     Args:
         bad: True for a wrong element (n, ...).
@@ -101,7 +107,10 @@ def at_first(
 
 
 def _length(trace: Trace) -> Iterator[Inconsistency]:
-    """Check that a complete run has exactly the ticks of its scenario, and a shorter run no more."""
+    """Check the number of ticks.
+
+    A complete run must have exactly the ticks of its scenario, and a shorter run must not have more.
+    """
     most, count = trace.scenario.ticks + 1, len(trace.ticks)
     if count > most or (trace.ended == "complete" and count < most):
         amount = f"{most} of them" if trace.ended == "complete" else f"at most {most} of them"
@@ -143,7 +152,7 @@ def _ticks(trace: Trace) -> Iterator[Inconsistency]:
 
 
 def _interventions(trace: Trace) -> Iterator[Inconsistency]:
-    """Check that a shield's share is from 0 to 1 at each tick, and below 1 exactly where its flag is set."""
+    """Check that a shield's speed fraction is from 0 to 1, and below 1 exactly where its flag is set."""
     done, ticks = trace.interventions, trace.ticks
     if trace.scenario.shield is None or trace.known.missing(["limits"]):
         return
@@ -174,7 +183,7 @@ def _filtered(trace: Trace) -> Iterator[Inconsistency]:
 
 
 def _predicted(trace: Trace) -> Iterator[Inconsistency]:
-    """Check that each predicted hand has a set, whose matrix is symmetric and positive definite."""
+    """Check that each predicted hand has a set whose matrix is symmetric and positive definite."""
     if not trace.scenario.predictor or trace.known.missing(["track_valid"]):
         return
     sets, there = trace.predicted, trace.ticks["track_valid"]
@@ -186,9 +195,10 @@ def _predicted(trace: Trace) -> Iterator[Inconsistency]:
 
 
 def are_positive_definite(shapes: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return (...) whether ``shapes`` (..., 3, 3) are finite, symmetric and positive definite.
+    """Return a mask (...) of the ``shapes`` (..., 3, 3) that are finite, symmetric and positive definite.
 
-    Positive leading minors decide (Sylvester's criterion), which have the same bits on each machine.
+    The test is Sylvester's criterion, which requires that the leading minors are positive; these minors have
+    the same bits on each machine.
     """
     s = np.moveaxis(shapes, (-2, -1), (0, 1))
     with np.errstate(all="ignore"):  # a stored trace may have any numbers
@@ -203,7 +213,10 @@ def are_positive_definite(shapes: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def _times_s(scenario: Scenario, fault: Fault) -> tuple[float, float]:
-    """Return from and until when a fault may act; a late avoider may act until the deadline after it."""
+    """Return the begin and the end of the time in which a fault may have an effect.
+
+    A fault of the avoider may act until the decision deadline after its end.
+    """
     settings = scenario.settings
     wait_s = settings.avoidance.decision_deadline_s + settings.clock.control_period_s
     return fault.from_s - TIME_EPS_S, fault.end_s + wait_s * isinstance(fault, AvoiderFault)
@@ -219,13 +232,17 @@ def _first_wrong(
     limits: int,  # the flags that there can be
     fault_times_s: NDArray[np.float64],  # (f, 2) from and until when each may act
 ) -> NDArray[np.int64]:
-    """Return (13,), for each check, the first tick that fails it, or n if no tick fails it."""
+    """Return the first tick that fails each check, shape (13,).
+
+    If no tick fails a check, the entry of this check is n.
+    """
     n = ticks.shape[0]
     first = np.full(CHECKS, n)
     made = np.full(n, -1)
     for number in range(decided.shape[0]):
         if 0 <= decided[number] < n:
             made[decided[number]] = number
+    # Backwards, so that the entry of each check ends at its first wrong tick.
     for k in range(n - 1, -1, -1):
         tick, possible = ticks[k], 0
         for fault in range(fault_times_s.shape[0]):
@@ -292,8 +309,8 @@ def _decisions(trace: Trace) -> Iterator[Inconsistency]:
 def _costs(trace: Trace) -> Iterator[Inconsistency]:
     """Check that each question comes after the previous decision, and that each answer is on time.
 
-    An answer must come when the decision time is over, or at the deadline. If a fault delays answers, it may
-    come later.
+    An answer must come at the end of its decision time or at the deadline, whichever is earlier. If a fault
+    delays answers, an answer may come later.
     """
     decisions, settings = trace.decisions, trace.scenario.settings
     tick, question, cost_s = (decisions[name] for name in ("tick", "asked_tick", "decision_time_s"))

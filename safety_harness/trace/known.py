@@ -1,8 +1,8 @@
 """The measured columns of a trace, with the source and the uncertainty of each column.
 
-A log seldom has all columns of a simulated run. A column is a field of the ticks, given by its name, or a
-field of the decisions, such as ``decision.outcome``. An unmeasured value is stored as NaN, zero or -1. No
-code may read such a value, so claims that need it are inconclusive.
+A log seldom has all columns of a simulated run. A column is either a field of the ticks or a field of the
+decisions; for a field of the decisions, the name has a prefix, as in ``decision.outcome``. An unmeasured
+value is stored as NaN, zero or -1. No code may read such a value, so claims that need it are inconclusive.
 """
 
 from __future__ import annotations
@@ -45,11 +45,12 @@ NOWHERE = (Source.NONE, Source.UNREPORTED)
 
 @dataclass(frozen=True, kw_only=True)
 class Gap:
-    """The ticks from ``first`` to the tick before ``after``, in which a column was not measured.
+    """A range of ticks in which a column was not measured.
 
-    A gap concerns one ``hand``, counted from 0, or, with None, all hands of the column. In a gap of
-    ``hand_present``, a hand may be there. A gap of the column ``mode`` may list modes in ``either``: at each
-    of its ticks, the mode was one of these. An empty ``either`` means any mode.
+    It begins at ``first`` and ends before ``after``. A gap concerns one ``hand``, counted from 0. If ``hand``
+    is None, the gap concerns all hands of the column. A gap of ``hand_present`` means that a hand may or may
+    not be present. A gap of the column ``mode`` may list modes in ``either``. At each tick of the gap, the
+    mode was one of these. An empty ``either`` means any mode.
     """
 
     first: int
@@ -60,7 +61,10 @@ class Gap:
 
 @dataclass(frozen=True, kw_only=True)
 class Closer:
-    """The ticks from ``first`` to the tick before ``after``, in which a column has a smaller uncertainty."""
+    """A range of ticks in which a column has a smaller uncertainty.
+
+    It begins at ``first`` and ends before ``after``.
+    """
 
     first: int
     after: int
@@ -73,10 +77,10 @@ class Measurement:
 
     Outside the ``gaps``, every stored number is within ``uncertainty`` of the true number, in the column's
     own SI unit. For a position, or the position of a pose, the uncertainty is a distance. In the spans
-    ``closer``, the uncertainty is smaller. Between two ticks, the larger of their uncertainties applies.
-    ``at_most_per_s`` bounds the rate of change of the true number. A column of ``Source.NONE`` was not
-    measured at all. A column of ``Source.UNREPORTED`` is not reported by the controller of a simulated run.
-    The uncertainty of a derived column follows from its inputs.
+    ``closer``, the uncertainty is smaller. Between two ticks, the larger of the uncertainties at these ticks
+    applies. ``at_most_per_s`` bounds the rate of change of the true number. A column with the source
+    ``Source.NONE`` was not measured at all. The source ``Source.UNREPORTED`` means that the controller of a
+    simulated run does not report the column. The uncertainty of a derived column follows from its inputs.
     """
 
     source: Source = Source.SIMULATED
@@ -138,7 +142,7 @@ class Knowledge:
         return self.columns.get(name, _SIMULATED)
 
     def uncertainty_of(self, name: str, count: int) -> NDArray[np.float64]:
-        """Return (count,) the uncertainty of one column at each tick, in its SI unit."""
+        """Return the uncertainty of one column at each tick, in its SI unit, shape (count,)."""
         measurement = self.column(name)
         uncertainty = np.full(count, measurement.uncertainty)
         for span in measurement.closer:
@@ -152,7 +156,7 @@ class Knowledge:
         return tuple(name for name in names if self.column(name).source in NOWHERE)
 
     def unreported(self, names: Iterable[str]) -> bool:
-        """Return whether ``names`` are all columns that the controller of a simulated run does not report."""
+        """Return whether the controller of a simulated run reports no column in ``names``."""
         return all(self.column(name).source is Source.UNREPORTED for name in names)
 
     def uncertain(self, names: Iterable[str]) -> tuple[str, ...]:
@@ -165,14 +169,14 @@ class Knowledge:
         return min(gaps, key=lambda gap: gap.first, default=None)
 
     def measured(self, name: str, ticks: NDArray[np.void]) -> NDArray[np.bool_]:
-        """Return at which of ``ticks`` (n,) a column was measured.
+        """Return a mask of the ticks at which a column was measured.
 
         Args:
             name: The column.
             ticks: The ticks (n,) of the trace.
 
         Returns:
-            True where it was measured: (n,), or (n, hands) for a column of hands.
+            True where the column was measured: (n,), or (n, hands) for a column of hands.
 
         """
         shape = (len(ticks), *ticks.dtype[name].shape[: name in PER_HAND])
@@ -182,10 +186,11 @@ class Knowledge:
         return mask
 
     def refuse_gaps_beyond(self, ticks: NDArray[np.void], hands: int) -> None:
-        """Raise TraceError if a gap or span ends after the last of ``ticks``, or a gap's hand does not exist.
+        """Raise TraceError if a gap or span ends after the last of ``ticks``.
 
-        There are ``hands`` hands. Only gaps of ``hand_present`` may concern more hands, as many as a tick has
-        room for, because another hand may be there.
+        The error is also raised if the hand of a gap does not exist. The scenario has ``hands`` hands. A gap
+        of ``hand_present`` may refer to any hand slot of a tick, because a hand that is not in the scenario
+        may be present.
         """
         count, (slots,) = len(ticks), ticks.dtype[PRESENCE].shape
         for name, measurement in self.columns.items():
@@ -248,6 +253,8 @@ def measurement(
     """
     most, closer = float(off_by.max(initial=0.0)), []
     if most > 0.0:
+        # Levels below the largest uncertainty, by powers of LEVELS. The lowest is a millionth of it, since
+        # the logarithm of 0 is infinite.
         steps = np.floor(log(most / np.clip(off_by, most * 1e-6, most)) / log(LEVELS) + 1e-9)
         ends = (np.flatnonzero(np.diff(steps)) + 1).tolist()
         for first, end in zip([0, *ends], [*ends, len(off_by)], strict=True):

@@ -26,9 +26,10 @@ OFTEN = 0.15  # a share of commands at a limit of speed from which the scale of 
 
 
 def limited_commands(trace: Trace) -> Counter[str] | None:
-    """Return how many commands each limit changed, by its name; None if the trace does not have limits.
+    """Return the number of commands that each limit changed, with the limit's name as the key.
 
-    The key "" counts the commands that any limit changed. Commands of a protective stop do not count.
+    The result is None if the trace does not have limits. The key "" counts the commands that any limit
+    changed. Commands of a protective stop are not counted.
     """
     if trace.known.missing(["limits"]):
         return None
@@ -39,12 +40,15 @@ def limited_commands(trace: Trace) -> Counter[str] | None:
 
 
 def _moving(trace: Trace) -> NDArray[np.bool_]:
-    """Return (n,) true where no protective stop brakes the arm."""
+    """Return the ticks at which no protective stop brakes the arm, as a mask (n,)."""
     return np.asarray(trace.ticks["mode"] != int(Mode.PROTECTIVE_STOP))
 
 
 def limited_data(trace: Trace) -> dict[str, Any] | None:
-    """Return the number of ``commands``, of ``limited`` ones, and of each limit, or None without limits."""
+    """Return the number of ``commands``, the number of ``limited`` commands, and the number for each limit.
+
+    The result is None if the trace does not have limits.
+    """
     counts = limited_commands(trace)
     if counts is None:
         return None
@@ -55,9 +59,11 @@ def limited_data(trace: Trace) -> dict[str, Any] | None:
 
 
 class LimitTally:
-    """How often limits changed the commands of each user's controller, and each safety filter its commands.
+    """Counts of limited commands.
 
-    The visual servo is left out, because it relies on the limit of the TCP's speed.
+    For each user's controller, the object counts the commands that limits changed. For each safety filter,
+    the object counts the commands that the filter changed. The visual servo is left out, because it relies on
+    the limit of the TCP's speed.
     """
 
     def __init__(self) -> None:
@@ -79,7 +85,10 @@ class LimitTally:
 
     @property
     def lines(self) -> list[str]:
-        """A line for each controller with limited commands, with a hint if often, and for each filter."""
+        """The lines on each controller with limited commands and on each filter.
+
+        A controller's line has a hint if many of its commands were limited.
+        """
         limited = [_line(name, n, self._commands[name]) for name, n in self._limited.items() if n[""]]
         return limited + [
             f"{BY_FILTER} {name}: changed {count:,} of {of_all:,} commands ({share_words(count, of_all)})"
@@ -89,7 +98,7 @@ class LimitTally:
 
 
 def limit_lines(traces: Iterable[Trace]) -> list[str]:
-    """Return the lines of ``LimitTally`` on the runs."""
+    """Return the lines of ``LimitTally`` for the runs."""
     tally = LimitTally()
     for trace in traces:
         tally.add(trace)
@@ -102,7 +111,7 @@ def overridden_stops(trace: Trace) -> int:
 
 
 def changed_by_filter(trace: Trace) -> NDArray[np.bool_]:
-    """Return (n,) true at each tick at which the safety filter changed the command."""
+    """Return the ticks at which the safety filter changed the command, as a mask (n,)."""
     return np.asarray(trace.ticks["limits"] & int(Limit.SAFETY_FILTER) != 0)
 
 

@@ -26,30 +26,31 @@ COUNTS = ("proposals", *(f"overruled_{reason}" for reason in ("replaced", "stopp
 
 
 def answered(trace: Trace) -> NDArray[np.bool_]:
-    """Return (m,) true for each decision in which the avoider gave a usable answer in time."""
+    """Return the decisions in which the avoider gave a usable answer in time, as a mask (m,)."""
     there: NDArray[np.bool_] = trace.decisions["fault"] == ""
     there &= (np.abs(trace.decisions["proposed_position_in_base_m"]) < ENDLESS).all(axis=1)
     return there
 
 
 def overruled(trace: Trace) -> NDArray[np.bool_]:
-    """Return (m,) true for each decision in which the arm did not follow the avoider's answer."""
+    """Return the decisions in which the arm did not follow the avoider's answer, as a mask (m,)."""
     vetoed: NDArray[np.bool_] = trace.decisions["outcome"] != DecisionOutcome.PROPOSED
     return vetoed & answered(trace)
 
 
 def is_measured(trace: Trace) -> bool:
-    """Return whether the trace records the fate of the avoider's proposals."""
+    """Return whether the trace records which proposals the gate overruled, and why."""
     return decided(trace, *_READ)
 
 
 @dataclass(frozen=True)
 class Overruling:
-    """The counts of the avoider's ``proposals``, which are answers in time, and of overruled proposals.
+    """Counts of the avoider's proposals and of the overruled proposals.
 
-    An overruled proposal is ``replaced`` by the opposite pose, or the arm is ``stopped``. ``reasons`` counts
-    the checks that overruled proposals failed; one proposal may fail several checks. A trace adds nothing to
-    the counts unless its decisions were measured (``is_measured``).
+    ``proposals`` is the number of answers that came in time. If a proposal is overruled, the arm goes to the
+    opposite pose (``replaced``) or stops (``stopped``). ``reasons`` counts the checks that overruled
+    proposals failed; one proposal may fail several checks. A trace contributes to the counts only if its
+    decisions were measured (``is_measured``).
     """
 
     proposals: int = 0
@@ -59,7 +60,7 @@ class Overruling:
 
     @classmethod
     def from_traces(cls, traces: Iterable[Trace]) -> Overruling:
-        """Return the counts of all ``traces`` together."""
+        """Return the sums of the counts over all ``traces``."""
         return reduce(add, map(cls._of_one, traces)) if (traces := list(traces)) else cls()
 
     @classmethod
@@ -91,19 +92,28 @@ class Overruling:
 
     @classmethod
     def of_counts(cls, counts: Sequence[int]) -> Overruling:
-        """Return the object with these counts, which are in the order of ``COUNTS``."""
+        """Return an object with the given counts.
+
+        The order of ``counts`` is that of ``COUNTS``.
+        """
         proposals, replaced, stopped, *failed = counts
         reasons = Counter({check: n for check, n in zip(REASONS, failed, strict=True) if n})
         return cls(proposals, replaced, stopped, reasons)
 
     @property
     def named(self) -> dict[str, int]:
-        """All counts by their names, for JSON, with one count for each reason."""
+        """All counts for JSON, with their names as keys.
+
+        There is one count for each reason.
+        """
         return {"overruled": self.overruled, **dict(zip(COUNTS, self.counts, strict=True))}
 
     @property
     def summary(self) -> str:
-        """The counts on a line, with the most frequent reason first; empty without proposals."""
+        """The counts as one line, with the most frequent reason first.
+
+        The line is empty without proposals.
+        """
         if not self.proposals:
             return ""
         of_all = f"{self.proposals:,} {'proposal' if self.proposals == 1 else 'proposals'}"
@@ -120,5 +130,5 @@ class Overruling:
 
     @property
     def share(self) -> float:
-        """The number of overruled proposals divided by the number of proposals; NaN without proposals."""
+        """The number of overruled proposals divided by the number of proposals, or NaN without proposals."""
         return self.overruled / self.proposals if self.proposals else float("nan")

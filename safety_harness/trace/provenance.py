@@ -1,8 +1,8 @@
 """The software that made a trace, identified by the modules loaded in this process.
 
-The notes of an installer do not suffice. Two packages may install the same module (``opencv-python`` beside
-``opencv-python-headless``). Then the files of one package replace the other's files, but the metadata of both
-remain. So a version is accepted only if the package's record has the hash of the loaded file.
+The records of an installer are not sufficient. Two packages may install the same module (``opencv-python``
+beside ``opencv-python-headless``). Then the files of one package replace the other's files, but the metadata
+of both remain. So a version is accepted only if the package's record has the hash of the loaded file.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def provenance(world: str, used: tuple[str, ...] = ()) -> Provenance:
 
     Args:
         world: The world that simulated the run.
-        used: The libraries that this run used beyond ``OF_EVERY_RUN``.
+        used: The libraries that this run used in addition to ``OF_EVERY_RUN``.
 
     """
     named = (library for library in LIBRARIES if library in (*OF_EVERY_RUN, *used))
@@ -77,7 +77,7 @@ def provenance(world: str, used: tuple[str, ...] = ()) -> Provenance:
 
 @lru_cache
 def machine() -> str:
-    """Return the kind of this machine in words: processor, C library and origin of our machine code."""
+    """Return a text on this machine: its processor, its C library, and the origin of its machine code."""
     there = getattr(_imported(LIBRARIES["numpy"]), "__cpu_features__", {})
     features = [feature for feature, names in FEATURES.items() if any(there.get(name) for name in names)]
     c_library = " ".join(platform.libc_ver()).strip() or "an unnamed C library"
@@ -86,7 +86,10 @@ def machine() -> str:
 
 
 def shared_modules() -> dict[str, tuple[str, ...]]:
-    """Return the modules that several installed packages own, each with these packages and their versions."""
+    """Return the modules that belong to several installed packages.
+
+    Each module has a list of these packages and their versions.
+    """
     owners = {module: _owners(module) for module in ONE_OWNER}
     return {
         module: tuple(sorted(f"{name} {distribution.version}" for name, distribution in packages.items()))
@@ -109,7 +112,7 @@ def _by_metadata(library: str) -> tuple[str, str]:
 
 
 def _loaded(library: str, core: ModuleType | None) -> tuple[tuple[str, str], tuple[str, str] | None]:
-    """Return the name and version of a library, and the name and hash of its compiled file."""
+    """Return two pairs: the name and version of a library, and the name and hash of its compiled file."""
     if core is None:
         return (library, NOT_LOADED), None
     path = Path(str(getattr(core, "_native", core).__file__))  # cv2 has its compiled part below itself
@@ -130,16 +133,20 @@ def _version(library: str, name: str, sha256: str) -> tuple[str, str]:
 
 @lru_cache
 def _owners(module: str) -> dict[str, metadata.Distribution]:
-    """Return, by name, the installed packages that contain ``module``, a module of ONE_OWNER."""
+    """Return the installed packages that contain ``module``, with their names as keys.
+
+    ``module`` is a module of ONE_OWNER.
+    """
     return {name: distribution for owned, name, distribution in _installed() if owned == module}
 
 
 @lru_cache
 def _installed() -> tuple[tuple[str, str, metadata.Distribution], ...]:
-    """Return each module of ONE_OWNER with each package that contains it; the first of a name wins.
+    """Return each module of ONE_OWNER with each package that contains it.
 
-    A package's list of names or of files shows its modules. ``metadata.packages_distributions`` gives the
-    same information, but takes a second.
+    If several installations of a package have the same name, the first is used. A package's list of names or
+    of files shows its modules. ``metadata.packages_distributions`` would return the same information, but it
+    takes a second.
     """
     owners: dict[tuple[str, str], metadata.Distribution] = {}
     for distribution in metadata.distributions():
@@ -152,10 +159,11 @@ def _installed() -> tuple[tuple[str, str, metadata.Distribution], ...]:
 
 @lru_cache
 def _sha256(path: Path) -> str:
-    """Return the hash of a file, and read the file only if it has changed: pybullet's files have 140 MB.
+    """Return the hash of a file.
 
-    A note beside the machine code keeps the hash, under the file's path, device, number, size and times of
-    change. Whoever overwrites or replaces the file changes at least one of these.
+    The file is read only if it has changed, because pybullet's files have 140 MB. The hash is stored in a
+    note beside the machine code. The name of the note depends on the file's path, device, inode number, size,
+    and times of change. Whoever overwrites or replaces the file changes at least one of these.
     """
     known = path.stat()
     identity = known.st_dev, known.st_ino, known.st_size, known.st_mtime_ns, known.st_ctime_ns

@@ -83,7 +83,8 @@ def tick_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
     """Return the type of a tick for ``hands`` hand slots and ``joints`` joints.
 
     Args:
-        hands: The hand slots, one of HAND_SLOTS. The tick has TRACKS_PER_HAND tracks for each.
+        hands: The number of hand slots, which must be in HAND_SLOTS. The tick has TRACKS_PER_HAND tracks for
+            each hand slot.
         joints: The number of the arm's joints.
 
     """
@@ -122,7 +123,7 @@ def tick_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
     )
 
 
-TICK = tick_dtype(HAND_SLOTS[0])
+TICK = tick_dtype(HAND_SLOTS[0])  # for scenarios with at most HAND_SLOTS[0] hands
 
 
 @lru_cache
@@ -135,7 +136,7 @@ def _compiled(dtype: np.dtype[Any]) -> np.dtype[Any]:
 
 
 def as_compiled(ticks: NDArray[np.void]) -> NDArray[np.void]:
-    """Return (n,) ticks as compiled code needs them: a view of the same bytes.
+    """Return the ticks (n,) in the form that compiled code needs, as a view of the same bytes.
 
     In the view, arrays of booleans within a record are ``uint8``, because compiled code cannot handle them.
     """
@@ -144,7 +145,10 @@ def as_compiled(ticks: NDArray[np.void]) -> NDArray[np.void]:
 
 @lru_cache
 def columns(dtype: np.dtype[Any]) -> dict[str, slice]:
-    """Return each floating-point field's place in a tick, counted in float64 from the tick's beginning."""
+    """Return the position of each floating-point field in a tick.
+
+    Positions are counted in float64 numbers from the beginning of the tick.
+    """
     return {
         name: slice(field[1] // 8, (field[1] + field[0].itemsize) // 8)
         for name, field in (dtype.fields or {}).items()
@@ -153,7 +157,10 @@ def columns(dtype: np.dtype[Any]) -> dict[str, slice]:
 
 
 def as_numbers(ticks: NDArray[np.void]) -> NDArray[np.float64]:
-    """Return (n,) ticks as (n, c) float64 of the same bytes, in which only the ``columns`` are numbers."""
+    """Return the bytes of the ticks (n,) as an array (n, c) of float64.
+
+    Only the ``columns`` are meaningful numbers.
+    """
     return np.ascontiguousarray(ticks).view(np.float64).reshape(len(ticks), ticks.dtype.itemsize // 8)
 
 
@@ -193,9 +200,10 @@ DECISION = decision_dtype()
 
 @lru_cache
 def filtered_dtype(joints: int = JOINTS) -> np.dtype[Any]:
-    """Return FILTERED: the command that the controller wanted, which a safety filter may have changed.
+    """Return the record type FILTERED.
 
-    ``held`` is true if the filter let the command pass, but an earlier stop of the filter still lasted.
+    A record contains the command that the controller wanted, before a safety filter changed it. ``held`` is
+    true if the filter passed the command while an earlier stop by the filter still lasted.
     """
     fields = [("wanted_radps", np.float64, (joints,)), ("wanted_stop", np.bool_), ("held", np.bool_)]
     return np.dtype(fields, align=True)
@@ -203,10 +211,11 @@ def filtered_dtype(joints: int = JOINTS) -> np.dtype[Any]:
 
 @lru_cache
 def predicted_dtype(hands: int) -> np.dtype[Any]:
-    """Return PREDICTED: for each track of a tick, the set that a predictor expects to hold the hand.
+    """Return the record type PREDICTED.
 
-    A set is an ellipsoid (h - p)' S^-1 (h - p) <= 1 around the predicted position p, with S in ``shape_m2``.
-    Where ``box`` is true, it is a box along the base's axes, and S has the squares of its half widths.
+    For each track of a tick, a record contains a set. According to a predictor, the hand is in this set. A
+    set is an ellipsoid (h - p)' S^-1 (h - p) <= 1 around the predicted position p, with S in ``shape_m2``. If
+    ``box`` is true, the set is a box along the base's axes, and S has the squares of its half widths.
     """
     tracks = TRACKS_PER_HAND * hands
     fields = [("shape_m2", np.float64, (tracks, 3, 3)), ("box", np.bool_, (tracks,))]
@@ -222,10 +231,12 @@ INTERVENTION = np.dtype(
 
 @lru_cache
 def intervention_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
-    """Return INTERVENTION extended by the hands that the shield used, and its command to the drives.
+    """Return the record type INTERVENTION with further fields.
+
+    These fields are the hands that the shield used, and the shield's command to the drives.
 
     Args:
-        hands: The hand slots. The record has room for TRACKS_PER_HAND boxes for each.
+        hands: The number of hand slots. The record has room for TRACKS_PER_HAND boxes for each hand slot.
         joints: The number of the arm's joints.
 
     """

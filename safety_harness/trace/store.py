@@ -1,9 +1,10 @@
 """Traces on disk: one zip of plain arrays and JSON, loaded without execution of its contents.
 
-A file holds the scenario's text with exact values, its recordings, and the files of an own arm. It also holds
-ticks, decisions and provenance, and a hash over all of that. It contains no pickle. The hashes reveal damage
-but no intent, because an editor of a file can write new hashes. So the reader also refuses contradictions.
-Only a repetition of the run shows whether the rest is true.
+A file contains the scenario's text with exact values, its recordings, and the files of a user's own arm. It
+also contains ticks, decisions and provenance, and a hash over all of that. It contains no pickle. The hashes
+reveal accidental damage. They do not reveal forgery, because an editor of a file can write new hashes. So the
+reader also refuses traces that contradict themselves. Only a repetition of the run shows whether the rest is
+true.
 """
 
 from __future__ import annotations
@@ -74,6 +75,7 @@ MOST_PARTS = 12 + MAX_HANDS
 ZIP_END = struct.Struct("<4s4H2LH")  # without a comment, as it is written here
 OF_AVOIDER = ("avoider", "avoider_sha256")  # in the provenance, before the system was a record
 NEW = ("asked_tick", "decision_time_s")
+# The record of a decision in EARLIER_FORMAT, which lacks the fields NEW.
 DECISION_3 = np.dtype(
     [(name, field[0]) for name, field in (DECISION.fields or {}).items() if name not in NEW], align=True
 )
@@ -114,6 +116,7 @@ def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] |
     """
     refuse_other_type("save_trace(trace)", trace, Trace)
     path = as_path(path, "save_trace(path)")
+    # With all settings, since another version may have other defaults.
     text = write_scenario(_portable(trace.scenario), all_settings=True)
     parts: dict[str, bytes] = {"scenario.yaml": text.encode()}
     arrays = {
@@ -131,6 +134,7 @@ def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] |
         arrays[OVERSHOOT] = trace.overshoot_radps.ravel()
     for name, array in arrays.items():
         buffer = io.BytesIO()
+        # A pickle could execute code when it is loaded.
         np.lib.format.write_array(buffer, array, allow_pickle=False)
         parts[name] = buffer.getvalue()
     for hand in trace.scenario.hands:
@@ -156,6 +160,7 @@ def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] |
         parts[KNOWN] = json.dumps(columns, indent=1, sort_keys=True).encode()
     if trace.certified is not None:
         parts[CERTIFIED] = json.dumps(plain(trace.certified), indent=1, sort_keys=True).encode()
+    # The header comes last, because it has the hashes of all other parts.
     header = {
         "format": IN_PART if KNOWN in parts else FORMAT,
         "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in sorted(parts.items())},
@@ -166,11 +171,15 @@ def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] |
         zipfile.ZipFile(unfinished, "w", zipfile.ZIP_DEFLATED, compresslevel=2) as archive,
     ):
         for name in sorted(parts):
+            # ZipInfo has a constant date, so that equal traces are equal files.
             archive.writestr(zipfile.ZipInfo(name), parts[name], zipfile.ZIP_DEFLATED, 2)
 
 
 def _fields_alone(records: NDArray[np.void]) -> NDArray[np.void]:
-    """Return the records with zeros between their fields, because memory may hold any bytes there."""
+    """Return the records with zeros in the bytes between their fields.
+
+    Otherwise these bytes would have arbitrary values.
+    """
     clean = np.zeros(records.shape, records.dtype)
     for name in records.dtype.names or ():
         clean[name] = records[name]
@@ -194,7 +203,10 @@ def _portable(scenario: Scenario) -> Scenario:
 
 
 def _recording(scenario: Scenario, hand: RecordedHand) -> bytes:
-    """Return the bytes of a recording; TraceError if its file has changed since the scenario was read."""
+    """Return the bytes of a recording.
+
+    Raise TraceError if its file has changed since the scenario was read.
+    """
     folder = scenario.file.parent if scenario.file else Path()
     data = located(folder / hand.recording).read_bytes()
     if hashlib.sha256(data).hexdigest() != hand.motion.sha256:
@@ -219,7 +231,7 @@ def load_trace(path: str | Path) -> Trace:
 
 
 class _Reader:
-    """The reader of one trace file, whose errors all name the file.
+    """The reader of one trace file; each of its errors states the file.
 
     It unpacks no part that is larger than allowed.
     """
@@ -243,7 +255,10 @@ class _Reader:
             raise self._error("a trace file, whole", _in_words(error)) from error
 
     def _trace(self, archive: zipfile.ZipFile) -> Trace:
-        """Return the trace; the small parts are read first, since they limit the sizes of the large parts."""
+        """Return the trace.
+
+        The small parts are read first, because they limit the sizes of the large parts.
+        """
         first = min((info.header_offset for info in archive.infolist()), default=0)
         if first:  # what lies before would not be read
             raise self._error("one trace alone in the file", f"{first} bytes before it")
@@ -355,7 +370,11 @@ class _Reader:
         return typed(value, kind, self._path, defaults=True, error=TraceError)
 
     def _run(self) -> tuple[_Run, Component | None]:
-        """Return the run's record, and the avoider if an earlier version stored only that of the system."""
+        """Return the record of the run, and an avoider or None.
+
+        The result contains an avoider only if an earlier version wrote the file, because that version stored
+        an avoider instead of the system.
+        """
         record, avoider = parsed(self._parts["run.json"], self._path, "run.json", TraceError), None
         made = record.get("provenance") if isinstance(record, dict) else None
         if isinstance(made, dict) and "system" not in record and OF_AVOIDER[0] in made:
@@ -410,7 +429,7 @@ class _Reader:
     def _one_a_tick(
         self, archive: zipfile.ZipFile, name: str, dtype: np.dtype[Any], most: int, ticks: int
     ) -> NDArray[Any]:
-        """Return the records of ``_array``, one for each of the ``ticks``."""
+        """Return the result of ``_array``, after checking that the number of records is ``ticks``."""
         records = self._array(archive, name, dtype, most)
         if len(records) != ticks:
             raise self._error(f"{ticks}, one a tick", str(len(records)), name)
@@ -424,9 +443,11 @@ class _Reader:
         most: int,
         earlier: np.dtype[Any] | None = None,
     ) -> NDArray[Any]:
-        """Return at most ``most`` records of ``dtype``, or of the ``earlier`` type.
+        """Return the records of the part ``name``.
 
-        The method compares the length in the header with the actual bytes before it trusts the header.
+        There may be at most ``most`` records. The records have the type ``dtype`` or, in an earlier version,
+        the type ``earlier``. The method compares the length in the header with the actual bytes before it
+        trusts the header.
         """
         self._unpack(archive, name, most * dtype.itemsize + ARRAY_HEADER_BYTES)
         data = io.BytesIO(self._parts.pop(name))
@@ -450,7 +471,10 @@ def _in_words(error: Exception) -> str:
 
 
 def as_now(decisions: NDArray[np.void], ticks: NDArray[np.void], faults: Sequence[Fault]) -> NDArray[np.void]:
-    """Return (m,) DECISION_3 as (m,) DECISION; at that time only a fault made decisions cost time."""
+    """Convert decisions of the type DECISION_3 to the type DECISION, both (m,).
+
+    In that earlier version, decisions cost time only if a fault delayed them.
+    """
     now = np.zeros(len(decisions), DECISION)
     for name in DECISION_3.names or ():
         now[name] = decisions[name]
@@ -459,9 +483,9 @@ def as_now(decisions: NDArray[np.void], ticks: NDArray[np.void], faults: Sequenc
 
 
 def _asked_at(at: NDArray[np.int64], acts: NDArray[np.int64], faults: Sequence[Fault]) -> NDArray[np.int64]:
-    """Return (m,) the tick at which each question was asked.
+    """Return the tick at which each question was asked, shape (m,).
 
-    While a fault delays an answer, all ticks from the question to the decision record the fault.
+    While a fault delays an answer, the fault is recorded in all ticks from the question to the decision.
     """
     slow = sum(1 << k for k, fault in enumerate(faults) if isinstance(fault, AvoiderLate | AvoiderSilent))
     waiting = (acts & slow) != 0
@@ -473,7 +497,7 @@ def _asked_at(at: NDArray[np.int64], acts: NDArray[np.int64], faults: Sequence[F
 
 
 def _whole(measurement: Any) -> Any:
-    """Return the stored measurement, with the entries added that earlier files lack."""
+    """Return the stored measurement, with the entries added that earlier files do not have."""
     if not isinstance(measurement, dict):
         return measurement
     gaps = measurement.get("gaps")

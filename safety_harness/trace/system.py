@@ -1,4 +1,4 @@
-"""The system under test as data: its parts by name, each with the hash of its contents."""
+"""The system under test as data: a name and a hash for each of its parts."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ Line = Annotated[str, Meta(max_length=4_096, pattern=r"\A[^\0\n\r]*\Z")]  # it i
 
 @dataclass(frozen=True, kw_only=True)
 class Component:
-    """A part of the system. ``sha256`` covers its file or its settings; it is empty without either.
+    """A part of the system.
 
+    ``sha256`` is the hash of the part's file or settings; it is empty if the part has no file or settings.
     The hash of the package's source covers the shipped parts too.
     """
 
@@ -35,11 +36,12 @@ class Component:
 
 @dataclass(frozen=True, kw_only=True)
 class SystemUnderTest:
-    """The controller in a run, the arm and its perception. Traces, ledgers and pages carry it.
+    """The system under test in a run: its controller, its arm and its perception.
 
-    Only the visual servo has ``avoider`` and ``gate``. ``robot`` has the hash of its URDF and of the contents
-    of all its files. ``gate``, ``perception`` and ``settings`` have the hash of their settings. ``shield``,
-    ``safety_filter`` and ``predictor`` are None without one.
+    Traces, ledgers and pages contain this record. Only the visual servo has ``avoider`` and ``gate``. The
+    hash of ``robot`` covers its URDF and all other files of the robot. Each of ``gate``, ``perception`` and
+    ``settings`` has the hash of its own settings. ``shield``, ``safety_filter`` and ``predictor`` are None if
+    the run does not have them.
     """
 
     controller: Component
@@ -63,7 +65,10 @@ class SystemUnderTest:
         return replace(self, controller=part) if self.avoider is None else replace(self, avoider=part)
 
     def with_hashes(self, **sha256: str) -> SystemUnderTest:
-        """Return the system with the hashes of the files of the parts of these names, which it may lack."""
+        """Return the system with new hashes for the files of its parts.
+
+        The names in ``sha256`` are the names of parts. Parts that the system does not have are ignored.
+        """
         parts = {
             name: replace(self.parts[name], sha256=sha256[name]) for name in sha256 if name in self.parts
         }
@@ -71,7 +76,7 @@ class SystemUnderTest:
 
     @property
     def label(self) -> str:
-        """The user's part on a line, such as ``avoider opposite pose`` or ``controller stop when near``."""
+        """The kind and name of the user's part, such as ``controller stop when near``."""
         return f"{'controller' if self.avoider is None else 'avoider'} {self.tested.name}"
 
     @property
@@ -82,7 +87,10 @@ class SystemUnderTest:
 
     @property
     def as_dict(self) -> dict[str, Any]:
-        """The parts as a dictionary for storage, and the optional parts only if they exist."""
+        """The parts as a dictionary for storage.
+
+        Optional parts are included only if the system has them.
+        """
         optional = ("shield", "safety_filter", "predictor")
         return {name: part for name, part in asdict(self).items() if name not in optional or part is not None}
 
@@ -92,7 +100,10 @@ class SystemUnderTest:
         return json.dumps(self.as_dict, sort_keys=True)
 
     def changes(self, now: SystemUnderTest) -> Iterator[str]:
-        """Yield a line for each part that differs in ``now``; a hash missing in an old file is ignored."""
+        """Yield a line for each part that differs between this system and ``now``.
+
+        If an old file lacks a hash, this hash is not compared.
+        """
         then, new = self.parts, now.parts
         for name in dict.fromkeys([*then, *new]):
             earlier, later = then.get(name), new.get(name)
@@ -111,12 +122,14 @@ def system_of(
     safety_filter: Component | None = None,
     predictor: Component | None = None,
 ) -> SystemUnderTest:
-    """Return the system of a run whose arm a ``controller`` drives, or the visual servo with ``avoider``.
+    """Return the system of a run.
+
+    A ``controller`` or the visual servo drives its arm.
 
     Args:
         scenario: The scenario of the run.
-        avoider: The avoider. None for a controller.
-        controller: The user's controller. None: the visual servo.
+        avoider: The avoider. None means that a controller drives the arm.
+        controller: The user's controller. None means that the visual servo drives the arm.
         robot_sha256: The hash of the robot's URDF, without the settings of its mounting.
         safety_filter: The user's filter between controller and drives, if any.
         predictor: The scenario's predictor, if any.
@@ -175,14 +188,20 @@ def _parts(settings: Settings) -> tuple[Component, Component, Component, Compone
 
 
 def _hash_of(settings: Settings, *names: str) -> str:
-    """Return the hash of the exact values of the groups ``names`` of the settings, sorted by name."""
+    """Return the hash of the groups ``names`` of the settings.
+
+    The hash covers the exact values of the settings, sorted by name.
+    """
     values = ", ".join(f'"{name}": {_text(getattr(settings, name))}' for name in sorted(names))
     return hashlib.sha256(f"{{{values}}}".encode()).hexdigest()
 
 
 @lru_cache(maxsize=256)
 def _text(part: Any) -> str:
-    """Return a part of the settings as JSON; the cache helps, because few draws of a space differ in it."""
+    """Return a part of the settings as JSON.
+
+    The results are cached, because the draws of a space seldom differ in this part.
+    """
     return json.dumps(asdict(part), sort_keys=True, default=_plain)
 
 

@@ -21,22 +21,34 @@ R = TypeVar("R")
 
 
 def no_interventions() -> NDArray[np.void]:
-    """Return the empty array (0,) of INTERVENTION, for a run without a shield."""
+    """Return an empty array (0,) of INTERVENTION.
+
+    It is used for a run without a shield.
+    """
     return np.zeros(0, INTERVENTION)
 
 
 def not_predicted() -> NDArray[np.void]:
-    """Return the empty array (0,) of PREDICTED, for a run without a predictor of its scenario."""
+    """Return an empty array (0,) of PREDICTED.
+
+    It is used for a run whose scenario has no predictor.
+    """
     return np.zeros(0, predicted_dtype(1))
 
 
 def not_filtered() -> NDArray[np.void]:
-    """Return the empty array (0,) of FILTERED, for a run without a safety filter."""
+    """Return an empty array (0,) of FILTERED.
+
+    It is used for a run without a safety filter.
+    """
     return np.zeros(0, filtered_dtype())
 
 
 def not_recorded() -> NDArray[np.float64]:
-    """Return the empty overshoot (0, 0), for a run whose sub-steps were not recorded."""
+    """Return an empty array (0, 0).
+
+    It replaces the overshoot if the sub-steps of a run were not recorded.
+    """
     return np.zeros((0, 0))
 
 
@@ -44,10 +56,11 @@ def not_recorded() -> NDArray[np.float64]:
 class Provenance:
     """The software that made a trace; ``source_hash`` covers every Python file of the package.
 
-    ``libraries`` are pairs (name, version); a pair may also state that a library was not loaded. ``files``
-    are the compiled files of these libraries, as pairs (name, sha256). ``arithmetic`` is the version of the
-    functions that computed the numbers, ``elementary.ARITHMETIC``, or 0 in a trace of an earlier version.
-    ``machine`` is the kind of machine. Comparisons ignore it, because it must not matter.
+    ``libraries`` are pairs (name, version). The second entry may also state that the library was not loaded.
+    ``files`` are the compiled files of these libraries, as pairs (name, sha256). ``arithmetic`` is the
+    version of the functions that computed the numbers (``elementary.ARITHMETIC``). It is 0 in traces of
+    earlier versions. ``machine`` is the kind of machine. Comparisons ignore the machine, because it must not
+    influence the results.
     """
 
     package_version: Line
@@ -65,25 +78,28 @@ class Provenance:
 class Trace:
     """The record of one run, with read-only ``ticks`` (n,) and ``decisions`` (m,).
 
-    ``certified`` holds proofs about the decisions, if a user requested them after the run, or is None. No
-    verdict uses it.
+    ``certified`` contains proofs about the decisions, which a user may request after the run. Without such a
+    request, it is None. No verdict uses these proofs.
 
     Args:
         scenario: The scenario of the run.
-        ticks: (n,) of ``tick_dtype`` for the scenario's ``hand_slots``. A complete run has ``scenario.ticks``
-            + 1, since it records both ends of the duration. A run that was cut short has fewer.
+        ticks: (n,) records of the type ``tick_dtype`` for the scenario's ``hand_slots``. A complete run has
+            ``scenario.ticks`` + 1, since it records both ends of the duration. A run that was cut short has
+            fewer.
         decisions: (m,) of ``decision_dtype``.
         decision_latency_s: (m,) the wall-clock time of each decision [s]. It is NaN where several decisions
             were made together, without a time for each. The times differ when the run is repeated, so only
             reports use them. The cost in simulated time is in the decision's own record.
         provenance: The software that made the trace.
-        ended: "complete", or the reason why the run was cut short. No property takes a shortened run for
-            a safe run.
+        ended: "complete", or the reason why the run was cut short. No property takes a shortened run for a
+            safe run.
         known: Which columns were measured, and how exactly.
         system: The system under test.
-        interventions: (n,) INTERVENTION of the shield, one a tick; empty without a shield.
-        filtered: (n,) FILTERED, what the safety filter got at each tick; empty without a filter.
-        predicted: (n,) PREDICTED, the sets of the scenario's predictor; empty without one.
+        interventions: (n,) INTERVENTION of the shield at each tick. The array is empty if there is no shield.
+        filtered: (n,) FILTERED, the commands that the safety filter received. The array is empty if there is
+            no filter.
+        predicted: (n,) PREDICTED, the sets of the scenario's predictor. The array is empty if there is no
+            predictor.
         overshoot_radps: (n, joints) by how much a joint's speed left the range between its speeds at a tick
             and at the next. An engine records it in its sub-steps. (0, 0) if not recorded.
         answer_s: (k,) the wall-clock time of each answer of a user's controller [s]. It is neither stored nor
@@ -129,7 +145,10 @@ class Trace:
 
 
 def once_a_trace(function: Callable[[Trace], R]) -> Callable[[Trace], R]:
-    """Return ``function`` with a cache that keeps each result as long as its trace, which never changes."""
+    """Return ``function`` with a cache that keeps each result as long as its trace exists.
+
+    This is correct because a trace never changes.
+    """
     known: WeakKeyDictionary[Trace, R] = WeakKeyDictionary()
 
     @wraps(function)
@@ -143,10 +162,11 @@ def once_a_trace(function: Callable[[Trace], R]) -> Callable[[Trace], R]:
 
 
 def history(trace: Trace, name: str) -> NDArray[Any]:
-    """Return a field (n, ...) of the ticks, read-only, with each component's n values contiguous in memory.
+    """Return a read-only copy of the field ``name`` of the ticks of ``trace``, shape (n, ...).
 
-    Numpy operations on all ticks at once are several times faster on it than on ``trace.ticks[name]``.
-    Compiled code visits the ticks one by one, and is equally fast without a copy.
+    The n values of each component are contiguous in memory. Numpy operations on all ticks at once are several
+    times faster on this copy than on ``trace.ticks[name]``. Compiled code visits the ticks one by one, and is
+    equally fast without a copy.
     """
     known = _histories(trace)
     if name not in known:

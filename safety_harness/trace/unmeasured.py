@@ -1,4 +1,4 @@
-"""The unmeasured parts of a trace, handled for code that shows, counts or repeats the trace."""
+"""Handle the unmeasured parts of a trace for code that shows, counts or repeats the trace."""
 
 from __future__ import annotations
 
@@ -17,23 +17,29 @@ from safety_harness.trace.trace import Trace
 
 
 def measured(trace: Trace, name: str) -> NDArray[np.bool_]:
-    """Return (n,) true at each tick at which a column was measured; (n, hands) for a column of hands."""
+    """Return the ticks at which a column was measured, as a mask.
+
+    The mask is (n,), or (n, hands) for a column of hands.
+    """
     return trace.known.measured(name, trace.ticks)
 
 
 def decided(trace: Trace, *names: str) -> bool:
-    """Return whether the fields ``names`` of the trace's decisions were measured (no names: all fields)."""
+    """Return whether the fields ``names`` of the trace's decisions were measured.
+
+    Without names, all fields are checked.
+    """
     fields = names or DECISION.names or ()
     return not trace.known.missing(f"{OF_DECISIONS}{name}" for name in fields)
 
 
 def as_measured(trace: Trace) -> Trace:
-    """Return the trace with a blank in every unmeasured place, whatever value was stored there."""
+    """Return the trace with every unmeasured value replaced by a blank."""
     return trace if trace.known.whole else knowing(trace, trace.known.columns)
 
 
 def without_gaps(trace: Trace, names: Iterable[str]) -> Trace:
-    """Return the trace with zeros in the gaps of the columns ``names``, so that no stored value misleads."""
+    """Return the trace with zeros in place of the values in the gaps of the columns ``names``."""
     lacking = [] if trace.known.whole else [name for name in names if trace.known.column(name).gaps]
     if not lacking:
         return trace
@@ -44,7 +50,7 @@ def without_gaps(trace: Trace, names: Iterable[str]) -> Trace:
 
 
 def refuse_not_simulated(trace: Trace, file: Path | None = None) -> None:
-    """Raise TraceError if a trace cannot be run again because it is not from a simulation of ours.
+    """Raise TraceError if a trace cannot be run again because this package did not simulate it.
 
     Args:
         trace: The trace.
@@ -61,12 +67,14 @@ def refuse_not_simulated(trace: Trace, file: Path | None = None) -> None:
 
 
 def knowing(trace: Trace, columns: Mapping[str, Measurement]) -> Trace:
-    """Return ``trace`` with the measurements ``columns`` added to its knowledge, and unknown places blank.
+    """Return ``trace`` with additional measurements.
 
-    A blank number is NaN, a blank index is -1, and any other blank field is zero or empty.
+    The entries of ``columns`` are added to the knowledge of the trace. Unmeasured values become blank. A
+    blank number is NaN, a blank index is -1, and any other blank field is zero or empty.
 
     Raises:
-        TraceError: As for ``Knowledge``, for gaps after the last tick, or for a hand that the scenario lacks.
+        TraceError: ``Knowledge`` refuses the columns, a gap ends after the last tick, or the scenario does
+            not have a gap's hand.
 
     """
     known = Knowledge({**trace.known.columns, **columns})
@@ -89,7 +97,10 @@ _INDICES = ("decision", "hand_distance_capsule")
 
 
 def until(trace: Trace, tick: int, why: str) -> Trace:
-    """Return the part of the run before ``tick``; ``why`` is the reason why it ends there."""
+    """Return the part of the run before ``tick``.
+
+    ``ended`` is the reason why this part ends there.
+    """
     kept = trace.decisions["tick"] < tick
     columns = {
         name: replace(

@@ -1,4 +1,7 @@
-"""Types for arrays of float64 that name the array's shape, for the many parameters of compiled functions."""
+"""Types of float64 arrays for the parameters of compiled functions.
+
+A type's name states the array's shape.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The distance from a segment to a pyramid, which shows what hides a flat object from a camera."""
+"""Compute the distance from a segment to a pyramid, to find occlusions of a flat object."""
 
 from __future__ import annotations
 
@@ -15,21 +15,23 @@ from safety_harness.base.geometry.segments import segment_segment_distance
 
 @compiled
 def segment_pyramid_distance(start: Array3, end: Array3, apex: Array3, base: ArrayNx3) -> float:
-    """Return the distance [m] from a segment to the solid pyramid over ``base``; 0 if they meet.
+    """Return the distance [m] from a segment to the solid pyramid over ``base``, or 0 if they touch.
 
-    The pyramid's surface consists of its base and a triangle for each side of the base.  If the segment is
-    outside, its nearest point to a face is an end of the segment, or the face's nearest point is on an edge.
-    A segment that meets the pyramid crosses a face or has an end inside.
+    The pyramid's surface consists of its base and a triangle for each side of the base.  If a segment is
+    outside the pyramid, consider its shortest connection to a face.  This connection begins at an end of the
+    segment, or it ends on an edge of the face.  A segment that touches the pyramid either crosses a face or
+    has an end inside.
 
     Args:
-        start: (3,) An end of the segment [m]; all points are in one frame.
-        end: (3,) The other end [m]; it may equal ``start``.
+        start: (3,) One end of the segment [m].  All points must be in the same frame.
+        end: (3,) The other end [m], which may equal ``start``.
         apex: (3,) The tip [m].
         base: (n, 3) The corners [m] of a flat simple polygon, in order along its outline.
 
     """
     n = base.shape[0]
     normal = _normal(base)
+    # A segment inside the pyramid crosses no face, so the faces alone would give a positive distance.
     if _is_within(start, apex, base, normal) or _is_within(end, apex, base, normal):
         return 0.0
     least = min(_base_distance(start, base, normal), _base_distance(end, base, normal))
@@ -52,14 +54,15 @@ def segment_pyramid_distance(start: Array3, end: Array3, apex: Array3, base: Arr
 
 @compiled
 def _normal(polygon: ArrayNx3) -> NDArray[np.float64]:
-    """Return the unit normal (3,) of a flat ``polygon`` (n, 3) by Newell's sum, or zeros if it has no area.
+    """Return the unit normal (3,) of a flat ``polygon`` (n, 3), or zeros if the polygon has no area.
 
-    The normal is N/|N| with N = sum_k (p_k - p_0) x (p_(k+1) - p_0) over the corners p_k; |N| is twice the
-    area.
+    Newell's sum N = sum_k (p_k - p_0) x (p_(k+1) - p_0) over the corners p_k has twice the area as its
+    length, and the normal is N/|N|.
     """
     normal = np.zeros(3)
     n = polygon.shape[0]
     for k in range(n):
+        # Differences from p_0 keep the digits of a small polygon far from the origin.
         a, b = polygon[k] - polygon[0], polygon[(k + 1) % n] - polygon[0]
         normal[0] += a[1] * b[2] - a[2] * b[1]
         normal[1] += a[2] * b[0] - a[0] * b[2]
@@ -73,9 +76,9 @@ def _normal(polygon: ArrayNx3) -> NDArray[np.float64]:
 
 @compiled
 def _height(point: Array3, polygon: ArrayNx3, normal: Array3) -> float:
-    """Return the height n . (p - p_0) [m] of ``point`` p (3,) over ``polygon`` (n, 3).
+    """Return the signed height [m] of ``point`` p (3,) above the plane of ``polygon`` (n, 3).
 
-    n is ``normal`` (3,), and p_0 is the polygon's first corner.
+    The height is the scalar product of ``normal`` (3,) and p - p_0, where p_0 is the polygon's first corner.
     """
     height = 0.0
     for i in range(3):
@@ -85,16 +88,17 @@ def _height(point: Array3, polygon: ArrayNx3, normal: Array3) -> float:
 
 @compiled
 def _is_over(point: Array3, polygon: ArrayNx3, normal: Array3) -> bool:
-    """Return whether ``point`` (3,) is in the prism along ``normal`` (3,) over ``polygon`` (n, 3).
+    """Return whether ``point`` (3,) is over ``polygon`` (n, 3), that is, in the prism along ``normal`` (3,).
 
-    By the even-odd rule, the point is inside if a ray from its foot in the plane crosses the outline an odd
-    number of times.  The test drops the coordinate in which the normal is largest, so that the outline keeps
-    its area.
+    The test projects the point into the polygon's plane, and counts how often a ray from there crosses the
+    outline.  An odd number means inside.  The test ignores the coordinate with the largest component of the
+    normal, so that the projected outline keeps its area.
     """
     drop = 0
     for i in range(1, 3):
         if abs(normal[i]) > abs(normal[drop]):
             drop = i
+    # A polygon without an area has no prism above it; its edges alone give the distance.
     if normal[drop] == 0.0:
         return False
     u, v = (drop + 1) % 3, (drop + 2) % 3
@@ -104,6 +108,7 @@ def _is_over(point: Array3, polygon: ArrayNx3, normal: Array3) -> bool:
     n = polygon.shape[0]
     for k in range(n):
         a, b = polygon[k], polygon[(k + 1) % n]
+        # The strict comparison on one side counts a corner on the ray exactly once.
         if (a[v] > y) != (b[v] > y) and x < a[u] + (y - a[v]) / (b[v] - a[v]) * (b[u] - a[u]):
             odd = not odd
     return odd
@@ -111,21 +116,24 @@ def _is_over(point: Array3, polygon: ArrayNx3, normal: Array3) -> bool:
 
 @compiled
 def _base_distance(point: Array3, polygon: ArrayNx3, normal: Array3) -> float:
-    """Return |n . (p - p_0)| [m] for a point over the polygon, or infinity if the polygon's edges are nearer.
+    """Return the absolute height [m] of a point over the polygon, or infinity if the point is not over it.
 
-    ``point`` p (3,), ``polygon`` (n, 3) and ``normal`` n (3,) are as in ``_height``.
+    In the second case, the nearest point of the polygon is on an edge.  ``point`` (3,), ``polygon`` (n, 3)
+    and ``normal`` (3,) have the same meaning as in ``_height``.
     """
     return abs(_height(point, polygon, normal)) if _is_over(point, polygon, normal) else np.inf
 
 
 @compiled
 def _crosses(start: Array3, end: Array3, polygon: ArrayNx3, normal: Array3) -> bool:
-    """Return whether the segment crosses ``polygon`` (n, 3) with ``normal`` (3,).
+    """Return whether the segment crosses ``polygon`` (n, 3), which has the normal ``normal`` (3,).
 
-    It does if the ends ``start`` and ``end`` (3,) have heights h_0 and h_1 of different sign.  In addition,
-    the polygon must contain the point at the share h_0/(h_0 - h_1) of the segment.
+    The segment goes from ``start`` (3,) to ``end`` (3,).  The heights h_0 and h_1 of these ends must have
+    different signs.  In addition, the polygon must contain the point that divides the segment at the fraction
+    h_0/(h_0 - h_1) of its length.
     """
     below, above = _height(start, polygon, normal), _height(end, polygon, normal)
+    # A segment within the plane does not cross it here: the polygon's edges or an end give the distance 0.
     if below == above or (below > 0.0) == (above > 0.0):
         return False
     share = below / (below - above)
@@ -139,11 +147,13 @@ def _crosses(start: Array3, end: Array3, polygon: ArrayNx3, normal: Array3) -> b
 def _is_within(point: Array3, apex: Array3, base: ArrayNx3, normal: Array3) -> bool:
     """Return whether ``point`` (3,) is inside the pyramid.
 
-    Let h be the height of the point p over ``base`` (n, 3) with ``normal`` (3,), and H the height of ``apex``
-    (3,).  The point is inside if 0 <= h/H < 1, and if the line from the apex a through p meets the base, at a
-    + (p - a)/(1 - h/H).
+    The pyramid has the base ``base`` (n, 3) with the normal ``normal`` (3,), and the tip ``apex`` (3,).  Let
+    h be the height of the point p over the base, and let H be the height of the tip.  The point is inside if
+    0 <= h/H < 1 and the line from the apex a through p meets the base.  The meeting point is a + (p - a)/(1 -
+    h/H).
     """
     top, height = _height(apex, base, normal), _height(point, base, normal)
+    # A pyramid without a height has no inside.
     if top == 0.0 or not 0.0 <= height / top < 1.0:
         return False
     share = 1.0 / (1.0 - height / top)

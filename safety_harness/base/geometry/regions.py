@@ -20,7 +20,8 @@ class Box:
 
     Args:
         low_m: The lowest corner in the base frame.
-        high_m: The highest corner; RegionError unless each coordinate is above that of ``low_m``.
+        high_m: The highest corner.  If one of its coordinates is not above the same coordinate of ``low_m``,
+            the constructor raises RegionError.
 
     """
 
@@ -52,7 +53,7 @@ class Box:
     about = centred_at  # deprecated: the old name, for one release
 
     def grown(self, factor: float) -> Box:
-        """Return the box with the same centre and ``factor`` times the size.
+        """Return the box that has the same centre and whose sides are ``factor`` times as long.
 
         Its corners are rounded to a picometre, so that boxes computed in different ways have equal corners.
         """
@@ -76,7 +77,9 @@ class Box:
         return Box(_vector3(low), _vector3(high))
 
     def contains(self, points_in_base_m: Vector) -> NDArray[np.bool_]:
-        """Return which points are in the box; a point with NaN is not.
+        """Return which points are in the box.
+
+        A point with a NaN coordinate is not in the box.
 
         Args:
             points_in_base_m: The points (..., 3).
@@ -91,7 +94,9 @@ class Box:
         return inside
 
     def outside_m(self, points_in_base_m: Vector) -> Vector:
-        """Return the distance of each point to the box [m], 0 inside the box and NaN for a point with NaN.
+        """Return the distance [m] of each point to the box.
+
+        The distance is 0 inside the box, and NaN for a point with a NaN coordinate.
 
         Args:
             points_in_base_m: The points (..., 3).
@@ -111,7 +116,8 @@ class Region:
 
     Args:
         outer: The box.
-        hole: The hole; None: no hole.  RegionError if it sticks out of the box or fills it.
+        hole: The hole, or None if there is no hole.  RegionError if the hole extends beyond the box or fills
+            the box.
 
     """
 
@@ -129,7 +135,9 @@ class Region:
             raise RegionError.of_option("shell", expected, f"the hole {self.hole} in {self.outer}")
 
     def contains(self, points_in_base_m: Vector) -> NDArray[np.bool_]:
-        """Return which points are in the region; the boundary of the hole is part of the region.
+        """Return which points are in the region.
+
+        The boundary of the hole belongs to the region.
 
         Args:
             points_in_base_m: The points (..., 3).
@@ -146,10 +154,11 @@ class Region:
         return inside
 
     def draw(self, rng: np.random.Generator, count: int) -> Vector:
-        """Return points (count, 3), uniform over the region, from four uniform numbers for each point.
+        """Return random points (count, 3) with a uniform distribution over the region.
 
-        A shell is split into at most six boxes.  One number selects a box with a probability proportional to
-        its volume.  Three numbers place a point in the box, so no draw is rejected.
+        Each point needs four uniform random numbers.  A shell is split into at most six boxes.  One number
+        selects a box with a probability proportional to its volume.  Three numbers place a point in the box,
+        so no draw is rejected.
 
         Args:
             rng: The source of the numbers.
@@ -161,6 +170,7 @@ class Region:
         size = np.array([box.high_m for box in boxes]) - low
         volume = np.prod(size, axis=1)
         uniform = rng.random((count, 4))
+        # The last sum is left out, because its rounding could lead beyond the last piece.
         chosen = np.searchsorted(np.cumsum(volume)[:-1] / volume.sum(), uniform[:, 0], side="right")
         points: Vector = low[chosen] + uniform[:, 1:] * size[chosen]
         return points
@@ -189,6 +199,7 @@ class Region:
                     piece_low, piece_high = low.copy(), high.copy()
                     piece_low[axis], piece_high[axis] = first, last
                     yield Box(_vector3(np.array(piece_low)), _vector3(np.array(piece_high)))
+            # The pieces of the next axes are only as wide as the hole here, so that no two pieces overlap.
             low[axis], high[axis] = self.hole.low_m[axis], self.hole.high_m[axis]
 
 

@@ -21,7 +21,8 @@ def rotation_from_vector(vector: Array3) -> NDArray[np.float64]:
 
         R = I + a [v]x + b [v]x^2,   a = sin(t)/t,   b = (1 - cos t)/t^2,   t = |v|,
 
-    where [v]x u = v x u for every u.  Near t = 0 the series a = 1 - t^2/6 and b = 1/2 - t^2/24 are used.
+    where [v]x u = v x u for every u.  For small t, the function uses the series a = 1 - t^2/6 and b = 1/2 -
+    t^2/24.
     """
     x, y, z = vector[0], vector[1], vector[2]
     squared = x * x + y * y + z * z
@@ -48,14 +49,16 @@ def rotation_from_vector(vector: Array3) -> NDArray[np.float64]:
 
 @compiled
 def vector_from_rotation(rotation: Array3x3) -> NDArray[np.float64]:
-    """Return the rotation vector v (3,) [rad] of a matrix ``rotation`` R (3, 3); its length is at most pi.
+    """Return the rotation vector v (3,) [rad] of a rotation matrix R, with a length of at most pi.
+
+    The matrix R is ``rotation`` (3, 3).  The vector is
 
         v = 2 atan2(|u|, w) u/|u|,   (w, u) the unit quaternion of the rotation with w >= 0,
 
-    where 4 w^2 = 1 + tr R, 4 w u = (R_21 - R_12, R_02 - R_20, R_10 - R_01), and by analogy for u.  The
-    computation begins with the largest component of the quaternion (Shepperd, 1978).  So terms never cancel
-    near the identity or a half turn.  At exactly pi, both signs of the vector mean the same rotation, and the
-    result may have either sign.
+    where 4 w^2 = 1 + tr R and 4 w u = (R_21 - R_12, R_02 - R_20, R_10 - R_01).  Analogous formulas give the
+    components of u.  The computation begins with the largest component of the quaternion (Shepperd, 1978).
+    Therefore terms never cancel near the identity or near a half turn.  At exactly pi, both signs of the
+    vector mean the same rotation, and the result may have either sign.
     """
     r00, r11, r22 = rotation[0, 0], rotation[1, 1], rotation[2, 2]
     trace = r00 + r11 + r22
@@ -83,6 +86,7 @@ def vector_from_rotation(rotation: Array3x3) -> NDArray[np.float64]:
         w, x, y, z = -w, -x, -y, -z
     # (w, x, y, z) is the quaternion times a common factor, which arctan2 and the ratio do not see.
     length = sqrt(x * x + y * y + z * z)
+    # For a tiny angle atan(l/w)/l is 1/w to the last bit, and l may be 0.
     factor = 2.0 / w if length < 1e-8 * w else 2.0 * arctan2(length, w) / length
     vector = np.empty(3)
     vector[0] = factor * x
@@ -100,7 +104,7 @@ def rotation_about(axis: Array3, angle_rad: float, rotation_out: Array3x3) -> No
     Args:
         axis: (3,) The unit axis a.
         angle_rad: The angle t.
-        rotation_out: (3, 3) receives R.
+        rotation_out: (3, 3) The matrix R.
 
     """
     entries = rotation_entries(axis[0], axis[1], axis[2], angle_rad)
@@ -112,9 +116,9 @@ def rotation_about(axis: Array3, angle_rad: float, rotation_out: Array3x3) -> No
 def rotation_entries(
     x: float, y: float, z: float, angle_rad: float
 ) -> tuple[float, float, float, float, float, float, float, float, float]:
-    """Return the nine entries of ``rotation_about``, row by row.
+    """Return the nine entries of the matrix of ``rotation_about``, row by row.
 
-    1 - cos t is computed as 2 sin^2(t/2), which does not cancel, and sin t as 2 sin(t/2) cos(t/2).
+    The formula 2 sin^2(t/2) for 1 - cos t avoids cancellation, and sin t is 2 sin(t/2) cos(t/2).
 
     Args:
         x: The first component of the *unit* axis.

@@ -1,4 +1,7 @@
-"""Exact distances between points and line segments in space; all points of one call are in one frame [m]."""
+"""Exact distances between points and line segments in space.
+
+All points in one call must be in the same frame [m].
+"""
 
 from __future__ import annotations
 
@@ -16,8 +19,8 @@ ROUNDING_M = 1e-9  # the most by which rounding lifts a lower bound above the di
 def point_segment_distance(point: Array3, start: Array3, end: Array3) -> float:
     """Return the distance [m] from a point p to the segment from a to b.
 
-    It is |p - a - t u| with u = b - a and t = (p - a) . u / |u|^2, limited to [0, 1].  If the segment is only
-    a point (u = 0), t is 0.
+    The distance is |p - a - t u|.  Here u = b - a, and t is (p - a) . u / |u|^2, limited to [0, 1].  If the
+    segment is only a point (u = 0), then t = 0.
 
     Args:
         point: (3,) p.
@@ -37,11 +40,12 @@ def point_segment_distance(point: Array3, start: Array3, end: Array3) -> float:
 
 @inlined
 def axes_lower_m(a: Array2x3, b: Array2x3) -> float:
-    """Return a lower bound [m] of the distance of two segments; negative if they may touch.
+    """Return a lower bound [m] for the distance between two segments.
 
-    The bound is |m_a - m_b| - (l_a + l_b)/2 for the segments' middles m_a, m_b and lengths l_a, l_b.
-    Rounding may put it above the distance by ROUNDING_M.  It follows from the triangle inequality: a point of
-    a segment is at most half the length away from the middle.  The bound costs a third of the work of
+    A negative bound means that the segments may touch.  The bound is |m_a - m_b| - (l_a + l_b)/2, where m_a
+    and m_b are the segments' middles and l_a and l_b their lengths.  Because of rounding, the bound may
+    exceed the distance by ROUNDING_M.  The bound follows from the triangle inequality: no point of a segment
+    is farther from the middle than half the length.  The bound takes a third of the computing time of
     ``segment_segment_distance``.
 
     Args:
@@ -59,7 +63,7 @@ def axes_lower_m(a: Array2x3, b: Array2x3) -> float:
 
 @inlined
 def segment_segment_distance(a_start: Array3, a_end: Array3, b_start: Array3, b_end: Array3) -> float:
-    """Return the distance [m] between two segments: the length of ``segment_segment_vector``.
+    """Return the distance [m] between two segments, which is the length of ``segment_segment_vector``.
 
     Args:
         a_start: (3,) The start of segment a.
@@ -76,7 +80,9 @@ def segment_segment_distance(a_start: Array3, a_end: Array3, b_start: Array3, b_
 def segment_segment_vector(
     a_start: Array3, a_end: Array3, b_start: Array3, b_end: Array3
 ) -> tuple[float, float, float]:
-    """Return the shortest vector (x, y, z) [m] from segment a to segment b, as in ``nearest_of_segments``.
+    """Return the shortest vector (x, y, z) [m] from segment a to segment b.
+
+    ``nearest_of_segments`` computes it.
 
     Args:
         a_start: (3,) The start of segment a.
@@ -93,20 +99,21 @@ def segment_segment_vector(
 def nearest_of_segments(
     a_start: Array3, a_end: Array3, b_start: Array3, b_end: Array3
 ) -> tuple[float, float, float, float, float]:
-    """Return the vector between the nearest points of segments a and b, and where on them the points lie.
+    """Return the vector between the nearest points of segments a and b, and the points' positions on them.
 
     Let u and v be the segments' vectors and w = b_start - a_start.  The vector is w + t v - s u, for the s
     and t in [0, 1] that make it shortest.  If both points are inside the segments, then with n = u x v,
 
         s = (w x v) . n / |n|^2,   t = (w x u) . n / |n|^2.
 
-    Ericson (2005, section 5.1.9) divides by |u|^2 |v|^2 - (u . v)^2 instead, where digits cancel.  If one
-    point is an end of its segment, the other point's share comes from ``point_segment_distance``.  Segments
-    may be parallel or points.
+    The textbook of Ericson (2005, section 5.1.9) instead divides by |u|^2 |v|^2 - (u . v)^2, which is the
+    same number.  This difference loses digits by cancellation.  If one point is an end of its segment, the
+    function computes the position of the second point as ``point_segment_distance`` does.  The segments may
+    be parallel, and a segment may be a single point.
 
-    The least distance is at an end of a segment, or between two inner points whose joining line is
-    perpendicular to both segments.  The loop always tries the inner solution and all four ends.  So nearly
-    parallel segments, whose inner solution is ill-conditioned, never make the answer wrong.
+    The shortest vector either touches an end of a segment, or it joins two inner points and is perpendicular
+    to both segments.  The loop always tries the four ends, and then the solution with two inner points.
+    Therefore the answer is right even for nearly parallel segments, whose inner solution is ill-conditioned.
 
     Args:
         a_start: (3,) The start of segment a.
@@ -116,7 +123,7 @@ def nearest_of_segments(
 
     Returns:
         (x, y, z, s, t): the vector [m] from a to b, and the positions of its ends along the segments, 0 to 1.
-        All five are NaN if an end is.
+        All five numbers are NaN if a coordinate of a segment's end is NaN.
 
     """
     ux, uy, uz = a_end[0] - a_start[0], a_end[1] - a_start[1], a_end[2] - a_start[2]
@@ -127,6 +134,7 @@ def nearest_of_segments(
     uv = ux * vx + uy * vy + uz * vz
     uw = ux * wx + uy * wy + uz * wz
     vw = vx * wx + vy * wy + vz * wz
+    # A segment without a length: its position is 0, as in ``point_segment_distance``.
     per_uu = 1.0 / uu if uu > 0.0 else 0.0
     per_vv = 1.0 / vv if vv > 0.0 else 0.0
     best_x, best_y, best_z = wx, wy, wz
@@ -134,6 +142,7 @@ def nearest_of_segments(
     # The vector is w + t v - s u.  The normal of both, and not uu vv - uv^2, which cancels.
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     nn = nx * nx + ny * ny + nz * nz
+    # Four candidates have one point fixed at an end of a segment. The fifth is the inner solution.
     for candidate in range(5):
         if candidate == 0:
             s, t = 0.0, min(max(-vw * per_vv, 0.0), 1.0)

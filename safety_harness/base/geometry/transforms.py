@@ -1,4 +1,7 @@
-"""Rigid transforms as 4 x 4 matrices: ``transform_a_to_b`` maps coordinates in a to coordinates in b."""
+"""Rigid transforms as 4 x 4 matrices.
+
+``transform_a_to_b`` maps coordinates in frame a to coordinates in frame b.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from safety_harness.base.geometry.arrays import Array3, Array3x3, Array4x4
 
 @compiled
 def transform_from(rotation: Array3x3, translation: Array3) -> NDArray[np.float64]:
-    """Return the transform (4, 4) that first rotates, then shifts.
+    """Return the transform (4, 4) that rotates first and then shifts.
 
     Args:
         rotation: (3, 3) The rotation.
@@ -46,7 +49,8 @@ def invert_into(transform: Array4x4, inverse_out: Array4x4) -> None:
 
     Args:
         transform: (4, 4) The transform.
-        inverse_out: (4, 4) receives the inverse; it must not be ``transform`` itself.
+        inverse_out: (4, 4) The array that the function fills with the inverse.  It must be a different array
+            from ``transform``.
 
     """
     for i in range(3):
@@ -63,17 +67,19 @@ def invert_into(transform: Array4x4, inverse_out: Array4x4) -> None:
 def compose_into(outer: Array4x4, inner: Array4x4, transform_out: Array4x4) -> None:
     """Fill an array with ``outer`` @ ``inner``.
 
-    The inner transform acts first, so b_to_c and a_to_b give a_to_c.  For rotations R, S and shifts t, u, the
-    product is (R, t) (S, u) = (R S, R u + t).
+    The inner transform acts first, so the product of b_to_c and a_to_b is a_to_c.  For rotations R, S and
+    shifts t, u, the product is (R, t) (S, u) = (R S, R u + t).
 
     Args:
         outer: (4, 4) The second transform.
         inner: (4, 4) The first transform.
-        transform_out: (4, 4) receives the product; it must be neither of the other two arrays.
+        transform_out: (4, 4) The array that the function fills with the product.  It must be a different
+            array from ``outer`` and ``inner``.
 
     """
     for i in range(3):
         for j in range(4):
+            # Written out, because BLAS (the operator @) gives other last bits on other processors.
             transform_out[i, j] = (
                 outer[i, 0] * inner[0, j] + outer[i, 1] * inner[1, j] + outer[i, 2] * inner[2, j]
             )

@@ -1,8 +1,10 @@
-"""Files that ship with the package, by name: ``shipped:fast-reach`` names a file in every installation.
+"""Files that ship with the package, and their names.
 
-A wheel contains scenarios, spaces, plans, recordings, robots and examples in a folder of this package.  A
-checkout has them beside the package, and a build copies them from there.  Both have the same layout, so that
-references between these files are valid in both.  Only ``located`` resolves the names.
+A name such as ``shipped:fast-reach`` denotes the same file in every installation.  A wheel contains
+scenarios, spaces, plans, recordings, robots and examples in a folder of this package.  A checkout has these
+folders beside the package, and a build copies them into the package.  The layout is the same, so references
+between these files are valid in a wheel and in a checkout.  Only the function ``located`` resolves such
+names.
 """
 
 from __future__ import annotations
@@ -46,7 +48,10 @@ SUITES = "examples/suites"  # each suite is a folder with its own files
 
 @dataclass(frozen=True)
 class ShippedFile:
-    """A shipped file, or the folder of an example; ``name`` is the text after ``shipped:``."""
+    """A shipped file, or the folder of an example.
+
+    ``name`` is the part of its name after ``shipped:``.
+    """
 
     kind: ShippedKind
     name: str
@@ -54,7 +59,10 @@ class ShippedFile:
 
     @property
     def description(self) -> str:
-        """A line that describes the file, from the file or from a file beside it; empty if there is none."""
+        """A line that describes the file, or an empty text.
+
+        The line comes from the file itself or from a file beside it.
+        """
         path = self.path
         if self.kind is ShippedKind.RECORDINGS:
             row = re.search(rf"`{re.escape(path.name)}` \| ([^|]+)", _text(path.with_name("README.md")))
@@ -70,23 +78,26 @@ class ShippedFile:
 
 
 def is_installed() -> bool:
-    """Return whether the files lie in the package itself, as in a wheel."""
+    """Return whether the shipped files are in the package itself, as in a wheel."""
     return (PACKED / "scenarios").is_dir()
 
 
 def contents() -> Path:
-    """Return the folder of all shipped files: in an installation the package, otherwise the repository."""
+    """Return the folder of all shipped files.
+
+    In an installation, this folder is the package's folder.  In a checkout, it is the repository.
+    """
     return PACKED if is_installed() else PACKED.parents[2]
 
 
 @lru_cache
 def shipped_files() -> tuple[ShippedFile, ...]:
-    """Return every shipped file that has a name, kind by kind."""
+    """Return every shipped file that has a name, ordered by kind."""
     return tuple(_listed(contents()))
 
 
 def _listed(root: Path) -> Iterator[ShippedFile]:
-    """Yield the files and folders below ``root``, kind by kind."""
+    """Yield the shipped files and folders below ``root``, ordered by kind."""
     for kind, (folder, pattern) in FOLDERS.items():
         for path in sorted((root / folder).glob(pattern)):
             yield ShippedFile(kind, path.stem if path.suffix == ".yaml" else path.name, path)
@@ -96,23 +107,24 @@ def _listed(root: Path) -> Iterator[ShippedFile]:
 
 
 def is_shipped(path: str | PurePath) -> bool:
-    """Return whether a part of the path begins with ``shipped:``."""
+    """Return whether some component of the path begins with ``shipped:``."""
     return any(part.startswith(PREFIX) for part in PurePath(path).parts)
 
 
 def located(path: str | Path, place: Place | None = None) -> Path:
-    """Return the path itself, or the shipped file or folder if a part begins with ``shipped:``.
+    """Return ``path``, or the shipped file or folder if a component of ``path`` begins with ``shipped:``.
 
-    The function drops the parts before ``shipped:``, so that a caller may pass ``folder / text`` for any text
-    in a file.  A name may be that of a shipped file, with or without ``.yaml``, or of a folder.  It may also
-    be a path below the root.
+    The components before ``shipped:`` have no effect, so that a caller may always pass ``folder / text``.  A
+    name denotes a shipped file or a folder.  The name of a YAML file may omit the ending ``.yaml``.  A path
+    below the folder of all shipped files is also a valid name.
 
     Args:
-        path: A path, perhaps with ``shipped:``.
-        place: The place of the name, for the error; None: the name itself.
+        path: A path, which may contain ``shipped:``.
+        place: The place of the name in the user's input, for the error message.  None means that the error
+            only states the name.
 
     Raises:
-        ScenarioError: The name is unknown; the hint has the nearest names.
+        ScenarioError: The name is unknown.  The hint states the most similar names.
 
     """
     parts = PurePath(path).parts
@@ -128,14 +140,17 @@ def located(path: str | Path, place: Place | None = None) -> Path:
 
 @lru_cache
 def _by_name() -> dict[str, Path]:
-    """Return files by their names, folders by theirs; a YAML file has a name with and without ``.yaml``."""
+    """Return all shipped files and folders by their names.
+
+    A YAML file has a name with ``.yaml`` and a name without it.
+    """
     paths: dict[str, Path] = {kind: contents() / folder for kind, (folder, _) in FOLDERS.items()}
     paths |= {file.path.name: file.path for file in shipped_files()}
     return paths | {file.name: file.path for file in shipped_files()}
 
 
 def _path_of(name: str) -> Path | None:
-    """Return the path that a name stands for, or None if the name is unknown."""
+    """Return the path for a name, or None if the name is unknown."""
     if name in _by_name():
         return _by_name()[name]
     below = PurePath(name)
@@ -154,7 +169,10 @@ def _unknown(name: str, place: Place | None) -> ScenarioError:
 
 
 def shipped_name(path: Path) -> str:
-    """Return ``shipped:NAME`` for the absolute path of a shipped file or folder, else an empty text."""
+    """Return the name ``shipped:NAME`` of a shipped file or folder.
+
+    The result is an empty text if the absolute path ``path`` is not shipped.
+    """
     root = contents()
     if root not in path.parents:
         return ""
@@ -164,5 +182,5 @@ def shipped_name(path: Path) -> str:
 
 
 def _text(path: Path) -> str:
-    """Return the text of a file; empty if it does not exist."""
+    """Return the text of a file, or an empty text if the file does not exist."""
     return path.read_text(encoding="utf-8") if path.is_file() else ""

@@ -1,6 +1,7 @@
-"""The documents of the package: the site if it was built, otherwise Markdown; sections by name.
+"""Find pages and sections of the package's documents by name.
 
-Every installation contains the Markdown.
+The documents are the HTML site if it was built, otherwise Markdown.  Every installation contains the
+Markdown.
 """
 
 from __future__ import annotations
@@ -20,24 +21,27 @@ COMMAND = "safety-harness docs"
 
 @dataclass(frozen=True)
 class Section:
-    """A page or a part of a page; ``name`` is the argument of ``safety-harness docs``: claims#proposals."""
+    """A page or a section of a page.
+
+    ``name`` is a valid argument of ``safety-harness docs``, such as claims#proposals.
+    """
 
     name: str
     title: str
 
 
 def site() -> Path:
-    """Return the folder of the site, which a checkout lacks before a build."""
+    """Return the folder of the site, which does not exist in a checkout before a build."""
     return contents() / "site"
 
 
 def markdown() -> Path:
-    """Return the folder of the documents as Markdown."""
+    """Return the folder of the Markdown documents."""
     return contents() / "docs"
 
 
 def sections() -> tuple[Section, ...]:
-    """Return every page and heading of the site, or of the Markdown if there is no site."""
+    """Return every page and section of the site, or of the Markdown documents if there is no site."""
     index = site() / "search.json"
     if index.is_file():
         items = json.loads(index.read_text(encoding="utf-8"))["items"]
@@ -46,7 +50,10 @@ def sections() -> tuple[Section, ...]:
 
 
 def _headings(page: Path) -> Iterator[tuple[Section, int]]:
-    """Yield a page and each of its headings with its line, from 0; a page has the title of its first one."""
+    """Yield a page and each of its sections, with the line number of the heading.
+
+    The title of a page is its first heading, and lines count from 0.
+    """
     name, slugs, code = page.relative_to(markdown()).with_suffix("").as_posix(), Counter[str](), False
     for line, text in enumerate(page.read_text(encoding="utf-8").splitlines()):
         code ^= text.startswith("```")
@@ -62,7 +69,7 @@ def _headings(page: Path) -> Iterator[tuple[Section, int]]:
 
 
 def text_of(section: Section) -> str:
-    """Return the Markdown of a section, up to the next heading that is not below it."""
+    """Return the Markdown of a section, including its subsections."""
     page = markdown() / f"{section.name.partition('#')[0]}.md"
     lines, begin, level = page.read_text(encoding="utf-8").splitlines(), -1, 0
     for heading, line in _headings(page):
@@ -78,11 +85,11 @@ def section_named(text: str) -> Section:
     """Return the first section that matches a text.
 
     Args:
-        text: A page, a section page#heading, or words of a heading or a name.  A name of an earlier version
-            leads to the present place.
+        text: A page, a section (page#heading), or some words of a heading or a name.  A name from an earlier
+            version is also accepted.
 
     Raises:
-        ScenarioError: No section matches; the hint lists the nearest names.
+        ScenarioError: The text matches no section, and the hint states the most similar names.
 
     """
     known, name = sections(), _present(text.strip().lower())
@@ -98,7 +105,10 @@ def section_named(text: str) -> Section:
 
 
 def _present(name: str) -> str:
-    """Return the present name of a page or section; ``docs/moved.yaml`` maps earlier names to it."""
+    """Return the present name of a page or section.
+
+    ``docs/moved.yaml`` contains the present name for each earlier name.
+    """
     file = next((file for file in (site() / "moved.yaml", markdown() / "moved.yaml") if file.is_file()), None)
     lines = [] if file is None else file.read_text(encoding="utf-8").splitlines()
     moved = dict(line.split(": ", 1) for line in lines if not line.startswith("#"))
@@ -107,7 +117,10 @@ def _present(name: str) -> str:
 
 
 def path_of(section: Section) -> tuple[Path, str]:
-    """Return the file that contains a section, a page of the site or Markdown, and the section's anchor."""
+    """Return the file that contains a section, and the section's anchor.
+
+    The file is a page of the site, or Markdown if there is no such page.
+    """
     page, _, anchor = section.name.partition("#")
     made = site() / f"{page}.html"
     return (made if made.is_file() else markdown() / f"{page}.md"), anchor

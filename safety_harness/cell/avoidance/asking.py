@@ -1,8 +1,8 @@
-"""Ask an avoider one or many questions in a call: each result is an answer, or the text of a fault.
+"""Ask an avoider one or several questions in one call.
 
-A declaration states how much simulated time a decision costs (``decision_times``). The harness also measures
-how long an answer takes on the wall's clock. This measured time has no effect on the run, unless the answer
-never comes: then the run ends.
+The result for each question is an answer or, if the avoider failed, the text of the fault. A decision costs
+the simulated time that a declaration states (``decision_times``). The harness also measures the wall-clock
+time of each answer. This time affects the run only if the answer never comes. The run then ends.
 """
 
 from __future__ import annotations
@@ -41,8 +41,9 @@ NAN_PROPOSAL = Proposal(np.full(3, np.nan), np.full(3, np.nan))
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """An avoider's proposal with the largest allowed spread, or the reason for its absence.
+    """The answer of an avoider: a proposal, or a fault that explains why there is no proposal.
 
+    ``spread_threshold_m`` is the largest spread at which the proposal is usable, or NaN without such a limit.
     ``latency_s`` is the wall-clock time that the answer took. ``late`` is true if the answer would come after
     the decision deadline in simulated time. The harness then does not call the avoider.
     """
@@ -55,9 +56,10 @@ class Answer:
 
 
 class Question(NamedTuple):
-    """A question with the wall-clock limit ``limit_s`` [s] of its answer; positions are (3,).
+    """A question to an avoider: the positions of hand and TCP, each (3,), and a seed.
 
-    ``seen`` is for an avoider whose ``sees`` asks for more quantities; it is None outside of a run.
+    ``limit_s`` is the limit [s] of the wall-clock time for the answer. ``seen`` contains the additional
+    quantities that the avoider's attribute ``sees`` requests. ``seen`` is None outside of a run.
     """
 
     hand_position_in_base_m: Vector
@@ -68,29 +70,37 @@ class Question(NamedTuple):
 
 
 class OutOfProcessAvoider(ABC):
-    """An avoider in another process; this class itself limits the wall-clock time of its answers."""
+    """An avoider in another process.
+
+    The class itself enforces the wall-clock limit of each answer.
+    """
 
     takes_many: bool  # in one call
 
     @abstractmethod
     def answers(self, questions: Sequence[Question], *, together: bool) -> list[Answer]:
-        """Return an answer to each question; ask in one call if ``together`` and the avoider takes many.
+        """Return an answer to each question.
 
-        Raise ``NoAnswerError`` if no answer comes in time. Raise ``SimulationError`` if the process is lost
-        and no new process starts.
+        If ``together`` is True and the avoider can answer many questions in one call, the method uses one
+        batched call. Raise ``NoAnswerError`` if no answer comes in time. Raise ``SimulationError`` if the
+        process is lost and no new process starts.
         """
 
 
 class _Hangs(BaseException):
-    """The interruption of an avoider at the wall limit; no Exception, since an avoider might catch that."""
+    """The exception that interrupts an avoider at the wall-clock limit.
+
+    The exception is not derived from ``Exception``, because an avoider might catch that class.
+    """
 
 
 def ask(avoider: Avoider, question: Question) -> Answer:
-    """Return an avoider's answer; if the avoider raises an exception, the answer states it as a fault.
+    """Return an avoider's answer, which contains the fault if the avoider raises an exception.
 
-    Only the interpreter's own exits pass through. Raise ``NoAnswerError`` if the answer takes longer than the
-    question's limit on the wall's clock. At the limit the harness interrupts Python code on the main thread.
-    For any other code in this process, the harness waits until it returns.
+    The function does not catch exceptions that are not derived from ``Exception``, such as
+    ``KeyboardInterrupt``. Raise ``NoAnswerError`` if the answer takes longer than the question's wall-clock
+    limit. At the limit the harness interrupts Python code on the main thread. For any other code in this
+    process, the harness waits until the code returns.
     """
     if isinstance(avoider, OutOfProcessAvoider):
         return avoider.answers([question], together=False)[0]
@@ -101,7 +111,7 @@ def ask(avoider: Avoider, question: Question) -> Answer:
 
 
 def late_fault(deadline_s: float) -> str:
-    """Return the fault's text for a decision whose answer does not come within ``deadline_s``."""
+    """Return the text of the fault for an answer that does not arrive within ``deadline_s``."""
     return f"no answer within {deadline_s * 1e3:g} ms"
 
 
@@ -126,7 +136,10 @@ def _ask(avoider: Avoider, question: Question) -> Answer:
 
 
 def _more(avoider: Avoider, question: Question) -> dict[str, Any]:
-    """Return the keyword ``seen`` of ``propose`` for an avoider with ``sees``; otherwise no keyword."""
+    """Return the additional keyword arguments of ``propose``.
+
+    These arguments contain ``seen`` if the avoider has the attribute ``sees``. Otherwise the result is empty.
+    """
     sees = shown_to(avoider)
     if sees and question.seen is None:
         raise AvoiderError(f"it sees {', '.join(sees)}, which no question outside of a run has")
@@ -134,7 +147,7 @@ def _more(avoider: Avoider, question: Question) -> dict[str, Any]:
 
 
 def answer_of(proposal: object, threshold_m: float | None) -> Answer:
-    """Return the answer with an avoider's ``proposal``, or with a fault if the proposal is invalid."""
+    """Return an answer with the valid ``proposal``, or with a fault if the proposal is invalid."""
     try:
         return Answer(checked(proposal), np.nan if threshold_m is None else threshold_m)
     except AvoiderError as error:
@@ -145,7 +158,8 @@ def answer_of(proposal: object, threshold_m: float | None) -> Answer:
 def interrupted_after(limit_s: float, name: str) -> Iterator[None]:
     """Raise ``NoAnswerError`` if the block takes longer than ``limit_s``.
 
-    If a timer signal is free, the error comes at the limit; otherwise it comes after the block.
+    If a timer signal is available, the error interrupts the block at the limit. Otherwise the function raises
+    the error after the block.
     """
     begun_s = time.perf_counter()
     free = threading.current_thread() is threading.main_thread() and hasattr(signal, "setitimer")
@@ -170,16 +184,19 @@ def interrupted_after(limit_s: float, name: str) -> Iterator[None]:
 
 
 class BatchAvoider(Avoider, Protocol):
-    """An avoider that answers many questions in one call, each bit for bit as ``propose`` does."""
+    """An avoider that can also answer many questions in one call.
+
+    Each answer equals the answer of ``propose`` bit for bit.
+    """
 
     def propose_many(
         self, hands_in_base_m: Vectors, tcps_in_base_m: Vectors, seeds: NDArray[np.uint64]
     ) -> tuple[Vectors, Vectors]:
-        """Return positions and spreads (n, 3) [m] for n questions.
+        """Return the positions and the spreads for n questions, both (n, 3) [m].
 
         Args:
-            hands_in_base_m: The hands (n, 3).
-            tcps_in_base_m: The TCPs (n, 3).
+            hands_in_base_m: The positions of the hands (n, 3).
+            tcps_in_base_m: The positions of the TCP (n, 3).
             seeds: The seeds (n,).
 
         """
@@ -187,20 +204,27 @@ class BatchAvoider(Avoider, Protocol):
 
 
 def takes_many(avoider: Avoider) -> TypeGuard[BatchAvoider]:
-    """Return whether the avoider takes many questions in a call; an avoider with ``sees`` never does."""
+    """Return whether the avoider can answer many questions in one call.
+
+    An avoider with the attribute ``sees`` can answer only one question in a call.
+    """
     return callable(getattr(avoider, "propose_many", None)) and not getattr(avoider, "sees", None)
 
 
 def limit_of(questions: Sequence[Question]) -> float:
-    """Return the wall-clock limit [s] of a joint call for ``questions``; after it, each gets its own call."""
+    """Return the wall-clock limit [s] of one batched call for ``questions``.
+
+    If the call takes longer, the harness asks each question in a separate call.
+    """
     return max(question.limit_s for question in questions) + EACH_S * len(questions)
 
 
 def answers_together(avoider: Avoider, questions: Sequence[Question]) -> list[Answer]:
-    """Return the answers of a joint call for ``questions``; an empty list if each needs its own call.
+    """Return the answers to ``questions`` from one batched call, or an empty list if the call fails.
 
-    The list is empty if the avoider does not take many, raises, hangs, or does not return two arrays (n, 3).
-    The separate calls then show which question is at fault.
+    The list is also empty if the avoider cannot answer many questions in one call. The call fails if the
+    avoider raises an exception, takes too long, or does not return two arrays of shape (n, 3). Separate calls
+    can then show which question causes the failure.
     """
     if isinstance(avoider, OutOfProcessAvoider):
         return avoider.answers(questions, together=True)

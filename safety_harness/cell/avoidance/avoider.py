@@ -1,8 +1,8 @@
 """The interface for a user's avoider: it proposes a position to which the TCP retreats.
 
-A question contains the nearest predicted hand, the TCP position and a *seed* in place of a random generator.
-So the avoider may run in a process of its own, and a decision is the same in every process. The avoider does
-not see the simulator's truth.
+A question contains the nearest predicted hand, the TCP position and a *seed*. An avoider gets the seed
+instead of a random generator. So the avoider may run in a process of its own, and a decision is the same in
+every process. The avoider does not see the simulator's truth.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ LARGEST = float(np.finfo(np.float64).max)
 class Proposal:
     """A repulsive position in the base frame and its predictive spread, both (3,) in metres.
 
-    ``spread_m`` is one standard deviation per axis; zero if the avoider has no estimate.
+    ``spread_m`` is one standard deviation per axis, or zero if the avoider has no estimate.
     """
 
     position_in_base_m: Vector
@@ -35,16 +35,17 @@ class Proposal:
 
 
 class Avoider(Protocol):
-    """A user's own avoider, with the members that it must have.
+    """The members that a user's own avoider must have.
 
     A user's avoider may also have these attributes:
 
     - ``spread_threshold_m``, a number or None: the gate refuses a proposal whose spread exceeds this number
       on any axis.
-    - ``decision_time_s``, a number: the cost of a decision in simulated time, unless the scenario's settings
-      state it.
-    - ``sees``, words of a controller's contract except "image": ``propose`` gets a fourth keyword, ``seen``,
-      with the named quantities at the time of the question.
+    - ``decision_time_s``, a number: the simulated time that a decision takes, unless the scenario's settings
+      state this time.
+    - ``sees``, a list of quantities from a controller's contract, without "image": ``propose`` gets a fourth
+      keyword argument ``seen``. The argument contains the values that these quantities have at the time of
+      the question.
     """
 
     @property
@@ -55,11 +56,13 @@ class Avoider(Protocol):
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """Return a position for the TCP, which keeps its orientation.
+        """Return a position for the TCP.
+
+        The TCP keeps its orientation.
 
         Args:
-            hand_position_in_base_m: The nearest predicted hand (3,).
-            tcp_position_in_base_m: The TCP (3,).
+            hand_position_in_base_m: The position of the nearest predicted hand (3,).
+            tcp_position_in_base_m: The position of the TCP (3,).
             seed: The seed of any random numbers, from 0 to 2^64 - 1.
 
         Returns:
@@ -74,7 +77,10 @@ class Avoider(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class AvoiderAround:
-    """An avoider that wraps ``avoider``; a subclass defines ``propose``, ``avoider`` supplies the rest."""
+    """An avoider that wraps another avoider.
+
+    A subclass defines ``propose``, and all other members come from the wrapped ``avoider``.
+    """
 
     avoider: Avoider
 
@@ -85,41 +91,50 @@ class AvoiderAround:
 
     @property
     def spread_threshold_m(self) -> float | None:
-        """The inner avoider's threshold; it raises ``AvoiderError`` as ``spread_threshold_of`` does."""
+        """The inner avoider's spread threshold.
+
+        The property raises ``AvoiderError`` in the same cases as ``spread_threshold_of``.
+        """
         return spread_threshold_of(self.avoider)
 
     @property
     def decision_time_s(self) -> float:
-        """The inner avoider's time; it raises ``AvoiderError`` as ``decision_time_of`` does."""
+        """The inner avoider's decision time.
+
+        The property raises ``AvoiderError`` in the same cases as ``decision_time_of``.
+        """
         return decision_time_of(self.avoider)
 
     @property
     def sees(self) -> tuple[str, ...]:
-        """The words that the inner avoider sees; a subclass that calls this avoider passes ``seen`` on."""
+        """The names of the quantities that the inner avoider sees.
+
+        A subclass that calls the inner avoider must pass the argument ``seen`` to the inner avoider.
+        """
         return shown_to(self.avoider)
 
 
 def spread_threshold_of(avoider: Avoider) -> float | None:
-    """Return the largest spread [m] at which the avoider's proposals are usable; None for no bound.
+    """Return the largest spread [m] at which the avoider's proposals are usable, or None without a bound.
 
-    Raise ``AvoiderError`` unless it is a finite length. Zero is valid; it allows only proposals without
-    spread.
+    Raise ``AvoiderError`` if this bound is not a finite length. Zero is valid and allows only proposals
+    without spread.
     """
     return _declared(avoider, "spread_threshold_m", "a length in metres", most=LARGEST)
 
 
 def decision_time_of(avoider: Avoider) -> float:
-    """Return the cost [s] of a decision that the avoider declares; 0 without a declaration.
+    """Return the simulated time [s] that the avoider declares for a decision, or 0 if it declares no time.
 
-    Raise ``AvoiderError`` unless it is a valid time.
+    Raise ``AvoiderError`` if the declared time is invalid.
     """
     return _declared(avoider, "decision_time_s", f"a time from 0 s to {LONGEST_S:g} s", most=LONGEST_S) or 0.0
 
 
 def shown_to(avoider: Avoider) -> tuple[str, ...]:
-    """Return the words of the avoider's ``sees``, in the order of the contract's ``SIGHTS``.
+    """Return the names of the quantities in the avoider's ``sees``, in the order of ``SIGHTS``.
 
-    Raise ``AvoiderError`` for an unknown word, and for the word of the pixels, "image".
+    Raise ``AvoiderError`` for an unknown name, and for "image", because avoiders get no pixels.
     """
     if getattr(avoider, "sees", None) is None:
         return ()
@@ -133,9 +148,9 @@ def shown_to(avoider: Avoider) -> tuple[str, ...]:
 
 
 def _declared(avoider: Avoider, name: str, kind: str, *, most: float) -> float | None:
-    """Return the avoider's attribute ``name``, a number from 0 to ``most``; None without this attribute.
+    """Return the number in the avoider's attribute ``name``, or None if the attribute is absent.
 
-    Raise ``AvoiderError`` for any other value.
+    Raise ``AvoiderError`` unless the number is between 0 and ``most``.
     """
     value = getattr(avoider, name, None)
     if value is None:
@@ -147,7 +162,10 @@ def _declared(avoider: Avoider, name: str, kind: str, *, most: float) -> float |
 
 
 def checked(proposal: object) -> Proposal:
-    """Return the proposal with finite float64 arrays (3,); raise ``AvoiderError`` for any other object."""
+    """Return the proposal with its two arrays as float64, each finite and of shape (3,).
+
+    Raise ``AvoiderError`` if the proposal is invalid.
+    """
     if not isinstance(proposal, Proposal):
         raise AvoiderError(f"an avoider must return a Proposal; got {type(proposal).__name__}")
     cleaned = []

@@ -1,9 +1,10 @@
-"""Repulsive candidates on a quarter sphere around the TCP (section 4.1 and figure 5 of the paper).
+"""Draw repulsive candidates on a quarter sphere around the TCP (section 4.1 and figure 5 of the paper).
 
-The paper draws 100 candidates per TCP "on a quarter of a sphere", "Gaussian". We read this as the sphere of
-radius R about the TCP. Azimuth and elevation have a normal distribution with the same sigma about an axis.
-This axis is the direction from the nominal hand position to the desired TCP. A candidate must be within 60
-degrees of the axis. This cone covers exactly a quarter of the sphere. R and sigma are our choice.
+According to the paper, the 100 candidates for a TCP are "on a quarter of a sphere" and "Gaussian". We read
+this as the sphere of radius R about the TCP. Azimuth and elevation have a normal distribution with the same
+sigma about an axis. This axis is the direction from the nominal hand position to the desired TCP. A candidate
+must be within 60 degrees of the axis. This cone covers exactly a quarter of the sphere. R and sigma are our
+choice.
 """
 
 from __future__ import annotations
@@ -38,10 +39,10 @@ class CandidateCap:
 
     @classmethod
     def from_settings(cls, settings: Settings) -> CandidateCap:
-        """Return the cap of the settings, whose axis points from the nominal hand to the desired TCP.
+        """Return the cap that the settings describe.
 
-        Raise ``SettingsError`` if the nominal hand and the desired TCP coincide, or if the cone is too narrow
-        for draws.
+        Its axis points from the nominal hand to the desired TCP. Raise ``SettingsError`` if the nominal hand
+        and the desired TCP coincide, or if the cone is too narrow to draw from.
         """
         avoidance = settings.avoidance
         axis = np.subtract(
@@ -65,8 +66,8 @@ class CandidateCap:
     def draw(self, rng: np.random.Generator) -> NDArray[np.float64]:
         """Return offsets (count, 3) from the TCP in the base frame, each of length ``radius_m``.
 
-        The function repeats draws that fall outside of the cone. This ends soon: with sigma 45 degrees some
-        61 % of the draws fall into the cone.
+        The function repeats draws that fall outside of the cone. The repetition ends soon, because some 61 %
+        of the draws fall into the cone if sigma is 45 degrees.
         """
         frame = self.frame()
         kept = np.empty((0, 3))
@@ -83,7 +84,11 @@ class CandidateCap:
         return self.radius_m * kept[: self.count]
 
     def frame(self) -> NDArray[np.float64]:
-        """Return orthogonal unit vectors as rows (3, 3): the axis, a horizontal one, and an upward one."""
+        """Return three orthogonal unit vectors as the rows of a matrix (3, 3).
+
+        The first is the axis, the second is horizontal, and the third points upward unless the axis is
+        vertical.
+        """
         vertical = abs(self.axis_in_base[2]) > 1.0 - 1e-12  # then any horizontal direction is a side
         side = np.array([0.0, 1.0, 0.0]) if vertical else np.cross([0.0, 0.0, 1.0], self.axis_in_base)
         side = side - product(side, self.axis_in_base) * self.axis_in_base
@@ -93,16 +98,16 @@ class CandidateCap:
 
 
 def continuous_optimum(settings: Settings, tcp_in_base: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the point of the whole cap about each TCP that is nearest to the desired position, (n, 3) [m].
+    """Return the points of the cap that are nearest to the desired position, shape (n, 3) [m].
 
-    |tcp + R u - desired|^2 = R^2 + |d|^2 - 2 R u . d with d = desired - tcp and R the radius. So the function
-    looks for the unit vector u of the cap that is nearest in angle to d. If the cap contains the direction of
-    d, u is this direction. Otherwise u is the point of the cap's rim in the plane of d and the cap's axis. If
-    the TCP is at the desired position, all points of the cap are equally near, and the function takes the
-    axis. If d is opposite to the axis, all points of the rim are equally near. The function then takes a
-    fixed point of the rim.
+    The result contains one point for each TCP in ``tcp_in_base`` (n, 3).
 
-    ``tcp_in_base`` (n, 3).
+    Let d = desired - tcp, and let R be the radius. The squared distance of a point tcp + R u from the desired
+    position is R^2 - 2 R dot(u, d) + |d|^2. So the function looks for the unit vector u of the cap that is
+    nearest in angle to d. If the cap contains the direction of d, u is this direction. Otherwise u points to
+    the rim of the cap, in the plane of d and the cap's axis. If the TCP is at the desired position, all
+    points of the cap are equally near, and the function takes the axis. If d is opposite to the axis, all
+    points of the rim are equally near. The function then takes a fixed point of the rim.
     """
     cap = CandidateCap.from_settings(settings)
     axis = cap.axis_in_base

@@ -1,4 +1,7 @@
-"""Ask an avoider a run's questions again, to test that its answer depends on question and seed only."""
+"""Ask an avoider the questions of a run again.
+
+The answers must be the same, because an answer may depend only on its question and its seed.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,10 @@ from safety_harness.trace.trace import Trace
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """A question of a run with the avoider's answer; ``number`` counts the run's decisions from 1."""
+    """A question of a run with the avoider's answer.
+
+    ``number`` is the number of the decision in the run, counted from 1.
+    """
 
     run: str
     number: int
@@ -27,9 +33,10 @@ class Asked:
 
 
 def asked_in(trace: Trace) -> list[Asked]:
-    """Return the questions and answers of a run; the trace stores each question without rounding.
+    """Return the questions and answers of a run.
 
-    The result leaves out answers that came too late, and answers that a simulated fault replaced.
+    The trace stores each question without rounding. The result leaves out answers that came too late, and
+    answers that a simulated fault replaced.
     """
     nan_faults = sum(1 << k for k, fault in enumerate(trace.scenario.faults) if isinstance(fault, AvoiderNaN))
     limit_s = trace.scenario.settings.clock.wall_limit_s
@@ -47,9 +54,10 @@ def asked_in(trace: Trace) -> list[Asked]:
 
 
 def refuse_flaky(avoider: Avoider, trace: Trace) -> None:
-    """Ask ``avoider`` the questions of ``trace`` again; raise ``FlakyAvoiderError`` if any bit differs.
+    """Ask ``avoider`` the questions of ``trace`` again.
 
-    The function skips an avoider with ``sees``, because a trace does not store all that this avoider saw.
+    Raise ``FlakyAvoiderError`` if any bit of an answer differs. The function skips an avoider with ``sees``,
+    because a trace does not store everything that such an avoider saw.
     """
     if shown_to(avoider):
         return
@@ -60,9 +68,10 @@ def refuse_flaky(avoider: Avoider, trace: Trace) -> None:
 
 
 def difference(first: Answer, again: Answer) -> str:
-    """Return the difference between an avoider's two answers, in words; empty for the same bits.
+    """Return a description of the difference between two answers, or an empty string if all bits are equal.
 
-    The function compares only as many characters of a fault's text as a trace keeps.
+    A trace keeps only the first characters of a fault's text, and the function compares only these
+    characters.
     """
     position_m, again_m = first.proposal.position_in_base_m, again.proposal.position_in_base_m
     spread_m, spread_again_m = first.proposal.spread_m, again.proposal.spread_m
@@ -79,7 +88,10 @@ def difference(first: Answer, again: Answer) -> str:
 
 
 def question_of(trace: Trace, decision: np.void) -> tuple[Vector, Vector]:
-    """Return the hand and the TCP (3,) of a decision's question, which may be some ticks earlier."""
+    """Return the positions of hand and TCP in the question of a decision, each (3,).
+
+    The question may be some ticks earlier than the decision.
+    """
     if decision["asked_tick"] == decision["tick"]:
         return decision["hand_position_in_base_m"], decision["tcp_position_in_base_m"]
     tick = trace.ticks[int(decision["asked_tick"])]
@@ -90,7 +102,7 @@ def question_of(trace: Trace, decision: np.void) -> tuple[Vector, Vector]:
 
 
 def _difference(trace: Trace, earlier: Asked, answer: Answer) -> str:
-    """Return the error text for two different answers to a question."""
+    """Return the text of the error that an avoider gave two different answers to a question."""
     first, second = _in_words(earlier.answer), _in_words(answer)
     time_s = float(trace.decisions["time_s"][earlier.number - 1])
     return (

@@ -1,8 +1,9 @@
-"""The gate between an avoider and the arm: the arm uses a proposed position only if it passes every check.
+"""Decide whether the arm may use a position that an avoider proposes.
 
-The gate first checks the avoider's proposal, then the opposite pose. If both fail, it demands a protective
-stop. The gate records every check that fails. A position is reachable if the arm can follow the whole
-straight path to it within the joint limits. Reachability is not a radius.
+The arm uses a position only if it passes every check of the gate. The gate first checks the avoider's
+proposal, then the opposite pose. If both fail, the gate demands a protective stop. The gate records every
+check that fails. A position is reachable if the arm can follow the whole straight path to it within the joint
+limits.
 """
 
 from __future__ import annotations
@@ -45,10 +46,11 @@ WAY_STEP_M = 0.025  # between two samples of a path, capsules can come nearer by
 class Query:
     """A question to the avoider: the nearest predicted hand, the TCP, the joints and a seed.
 
-    ``hands_in_base_m`` contains every predicted hand, also the nearest; only the gate sees these. Each hand
-    may be anywhere in a box about its prediction. ``half_widths_m`` describes the boxes; it is None if no
-    rule needs it. If the answer counts later than its question, ``asked_of`` is the hand and the TCP (3,) at
-    the question's time.
+    ``hands_in_base_m`` contains the positions of all predicted hands, including the nearest hand. Only the
+    gate uses these positions. Each hand may be anywhere in a box around its predicted position.
+    ``half_widths_m`` contains the half widths of these boxes, or is None if no rule needs them. An answer may
+    take effect some time after its question. ``asked_of`` then contains the positions (3,) of the hand and of
+    the TCP at the time of the question.
     """
 
     hand_position_in_base_m: Vector
@@ -72,10 +74,10 @@ class Query:
 
 @dataclass(frozen=True, eq=False)
 class GateDecision:
-    """The gate's decision with its reasons; a position that does not exist is NaN.
+    """The gate's decision with its reasons.
 
-    ``fault`` says why the avoider gave no usable answer; it is empty after a usable answer. ``latency_s`` is
-    the time that the answer took on the wall's clock.
+    A position that does not exist is NaN. ``fault`` states why the avoider gave no usable answer, and is
+    empty after a usable answer. ``latency_s`` is the wall-clock time that the answer took.
     """
 
     outcome: DecisionOutcome
@@ -91,7 +93,7 @@ class GateDecision:
 
 @dataclass(frozen=True, eq=False)
 class Gate:
-    """The gate, which decides on each proposal and has no memory between decisions."""
+    """The gate between an avoider and the arm, which has no memory between decisions."""
 
     kinematics: InverseKinematics
     fallback: Avoider
@@ -114,11 +116,11 @@ class Gate:
         """Return the gate of the settings.
 
         Args:
-            settings: The settings, for the limits and the kind of gate.
+            settings: The settings, with the limits and the kind of gate.
             kinematics: The arm's inverse kinematics.
             capsules: The arm's capsules.
             obstacles: The boxes of the cell.
-            more: A further rule that the scenario adds, if any.
+            more: An additional rule of the scenario. None means that there is no additional rule.
 
         """
         return cls(
@@ -133,17 +135,21 @@ class Gate:
         )
 
     def rule(self, avoider: Avoider, query: Query) -> GateDecision:
-        """Ask the avoider, then ``rule_on`` its answer."""
+        """Ask the avoider, and decide on its answer with ``rule_on``."""
         return self.rule_on(answer_to(avoider, query), query)
 
     def rule_on(self, proposed: Answer, query: Query) -> GateDecision:
-        """Check the avoider's answer, then the opposite pose if that fails, and stop if both fail.
+        """Decide between the avoider's answer, the opposite pose and a stop.
+
+        If the answer passes all checks, the gate chooses the answer. If only the opposite pose passes, the
+        gate chooses this pose. If both fail, the gate chooses a stop.
 
         Args:
             proposed: The avoider's answer.
-            query: The question that it answers, with everything that the checks need.
+            query: The question, with all data that the checks need.
 
         """
+        # Always computed, even if the answer passes, because claims judge the fallback at every decision.
         opposite = answer_to(self.fallback, replace(query, late="", asked_of=None))
         proposed_failed, opposite_failed = self._failed(proposed, query), self._failed(opposite, query)
         if not (proposed.late or proposed.fault):
@@ -179,7 +185,7 @@ class Gate:
         return failed
 
     def _outside(self, question: Question) -> Check:
-        """Return the check that fails if a question lies outside of the scenario's region, or no check."""
+        """Return ``Check.OUTSIDE_REGION`` if the question is outside of the scenario's region."""
         region = None if self.more is None else self.more.questions_within
         if region is None:
             return Check.NONE
@@ -187,14 +193,14 @@ class Gate:
         return Check.NONE if depth_m >= 0.0 else Check.OUTSIDE_REGION
 
     def check(self, position_in_base_m: Vector, query: Query) -> Check:
-        """Return the checks that a position fails, if the TCP goes there with its current orientation.
+        """Return the checks that fail if the TCP goes to a position with its current orientation.
 
         A straight path is lowest at its start or its end, so the function checks the height above the table
         only there.
 
         Args:
             position_in_base_m: The position (3,).
-            query: The question, for the arm's state and the hands.
+            query: The question, with the arm's state and the hands.
 
         """
         failed = Check.NONE
@@ -223,9 +229,10 @@ class Gate:
         return failed | self._met(path, length_m, query) if full else failed
 
     def _met(self, path: Vector, length_m: float, query: Query) -> Check:
-        """Return the check that fails on the path: the wrist near the body, or the arm near an obstacle.
+        """Return the check that fails first on the path, or ``Check.NONE``.
 
-        If the arm is too near at the start already, it may still move away.
+        A check fails if the wrist comes too near to the body, or if the arm comes too near to an obstacle. If
+        the distance is already too small at the start, a check fails only if the arm comes nearer.
         """
         arm, capsules, steps = self.kinematics.arm, self.capsules, ceil(length_m / WAY_STEP_M)
         poses = np.repeat(query.transform_tcp_to_base[None], steps, axis=0)
@@ -245,21 +252,25 @@ class Gate:
 
 
 def answer_to(avoider: Avoider, query: Query) -> Answer:
-    """Return the avoider's answer, or a fault if it is late in simulated time; raise as ``ask`` does."""
+    """Return the avoider's answer, or a fault if the answer would be late in simulated time.
+
+    The function raises the same errors as ``ask``.
+    """
     if query.late:
         return Answer(fault=query.late, late=True)
     return ask(avoider, query.question)
 
 
 def ask_many(avoiders: Sequence[Avoider], queries: Sequence[Query]) -> list[Answer]:
-    """Return the answers in the order of the queries, bit for bit as ``ask`` does, except for their latency.
+    """Return the answers in the order of the queries.
 
-    The latency of an answer in a batch is NaN, because the function only measures the whole batch. It
-    measures the latency of each question that it asks alone. An avoider in another process gets all its
-    questions in one message. That process then asks them in a batch or one by one.
+    Except for the latency, each answer equals the answer of ``ask`` bit for bit. The latency of an answer in
+    a batch is NaN, because the function only measures the whole batch. If the function asks a question in a
+    separate call, it measures the latency of the answer. An avoider in another process gets all its questions
+    in one message. The process then answers these questions in a batch or one by one.
 
     Args:
-        avoiders: The avoider of each question.
+        avoiders: The avoiders, one for each query.
         queries: The questions.
 
     Raises:
@@ -284,19 +295,21 @@ def ask_many(avoiders: Sequence[Avoider], queries: Sequence[Query]) -> list[Answ
 def leads_away(
     start_in_base_m: Vector, path: Vector, hands_in_base_m: Vector, half_widths_m: Vector | None = None
 ) -> bool:
-    """Return whether a straight path leads away from every hand at each of its points.
+    """Return whether the distance from each hand never decreases along a straight path.
 
-    Along a straight path, the distance from a fixed point is a convex function. So the distance from h never
-    falls if it does not fall at the start, that is if (p - t) . (t - h) >= 0. Return False for a path of no
-    length and for a hand that is NaN. With half widths r, the inequality must hold for every position of a
-    hand in its box. Its left side is linear in h, so it is least at a corner. At this corner it is less by
-    sum |p - t|_i r_i than at the middle.
+    Along a straight path, the distance from a fixed point is a convex function. So the distance from a hand h
+    never decreases if it does not decrease at the start, that is, if dot(p - t, t - h) >= 0. Return False if
+    the path has the length zero, or if the position of a hand is NaN. If there are half widths r, the
+    inequality must be true for every position of a hand in its box. The left side is linear in h, so its
+    minimum over the box is at a corner. This minimum is smaller than the value at the middle of the box by
+    the sum of |p - t|_i r_i over the axes i.
 
     Args:
         start_in_base_m: The start t (3,).
         path: The vector p - t (3,).
         hands_in_base_m: The hands h (k, 3).
-        half_widths_m: The half widths r (k, 3) of boxes about the hands. None: the hands are exactly there.
+        half_widths_m: The half widths r (k, 3) of boxes about the hands. None means that the positions of the
+            hands are exact.
 
     """
     if not length(path) > 0.0:

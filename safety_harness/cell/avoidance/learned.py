@@ -1,4 +1,4 @@
-"""Answer with a trained network, once or in Monte Carlo dropout passes, or with an ensemble."""
+"""Answer with a trained network: in one pass, in Monte Carlo dropout passes, or with an ensemble."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from safety_harness.cell.avoidance.resnet_kernel import FoldedNetwork, decide, f
 
 @dataclass(frozen=True, eq=False)
 class LearnedAvoider:
-    """The avoider of eqs. 9 and 10 of the paper: mean and standard deviation of the passes or members.
+    """The avoider of eqs. 9 and 10 of the paper.
 
-    A decision depends on its hand, TCP and seed alone. So its bits are the same alone or in a batch of any
-    size. Networks without dropout ignore the seed.
+    Its position is the mean of the passes or members, and its spread is their standard deviation. A decision
+    depends only on its hand, TCP and seed. So a decision has the same bits in a batch of any size. Networks
+    without dropout ignore the seed.
     """
 
     model: Model
@@ -41,18 +42,21 @@ class LearnedAvoider:
 
     @property
     def spread_threshold_m(self) -> float | None:
-        """The largest spread [m] of a usable proposal; None without a calibration."""
+        """The largest spread [m] of a usable proposal, or None without a calibration."""
         return self.model.spread_threshold_m
 
     @property
     def decision_time_s(self) -> float:
-        """The cost [s] of a decision in simulated time that the card declares; 0 without a declaration."""
+        """The simulated time [s] that the card declares for a decision, or 0 if it declares no time."""
         return self.model.decision_time_s
 
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """Return the network's proposal; ``seed`` is any integer from 0 to 2^64 - 1."""
+        """Return the network's proposal.
+
+        ``seed`` is any integer from 0 to 2^64 - 1.
+        """
         positions, spreads = self.propose_many(
             np.asarray(hand_position_in_base_m)[None],
             np.asarray(tcp_position_in_base_m)[None],
@@ -63,17 +67,17 @@ class LearnedAvoider:
     def propose_many(
         self, hands_in_base_m: Vectors, tcps_in_base_m: Vectors, seeds: NDArray[np.uint64]
     ) -> tuple[Vectors, Vectors]:
-        """Return positions and spreads (n, 3) [m] for n questions.
+        """Return the positions and the spreads for n questions, both (n, 3) [m].
 
-        If a hand or a TCP is not finite, its position is not finite either; the network never guesses.
+        If a hand or a TCP is not finite, the proposed position is not finite either.
 
         Args:
-            hands_in_base_m: The hands (n, 3).
-            tcps_in_base_m: The TCPs (n, 3).
+            hands_in_base_m: The positions of the hands (n, 3).
+            tcps_in_base_m: The positions of the TCP (n, 3).
             seeds: The seeds (n,).
 
         Raises:
-            ValueError: An array has another shape.
+            ValueError: An array has the wrong shape.
 
         """
         # Copies, since numba would compile everything once more for read-only arrays.

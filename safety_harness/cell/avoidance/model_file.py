@@ -1,13 +1,14 @@
-"""Read and write trained networks as safetensors files with a JSON text; no read executes any code.
+"""Read and write trained networks as safetensors files with JSON metadata.
 
-Tensors have the names "{member}/{name}". The second part is the tensor's name in a PyTorch state dict of the
-architecture that ``tensor_shapes`` describes. An error names the field at fault. ``load_model`` accepts every
-file that ``save_model`` writes.
+Reading a file never executes code from it. Each tensor has a name of the form "{member}/{name}", in which
+"name" is the tensor's name in a PyTorch state dict. ``tensor_shapes`` describes the architecture of this
+state dict. An error states the field that is wrong. ``load_model`` accepts every file that ``save_model``
+writes.
 
 This module reads the metadata of an ONNX file from its bytes, without a runtime or any computation. An ONNX
-model is a message of protocol buffers (onnx.proto, ModelProto). Each metadata entry is a field 14 of the
-model: a message whose field 1 is the key and field 2 the value. The encoding of fields:
-https://protobuf.dev/programming-guides/encoding
+model is a message of protocol buffers (onnx.proto, ModelProto). The model has a field with the number 14 for
+each metadata entry. This field contains a message, in which field 1 is the key and field 2 is the value. The
+encoding of fields: https://protobuf.dev/programming-guides/encoding
 """
 
 from __future__ import annotations
@@ -40,12 +41,15 @@ FORMAT = "safety-harness model 1"
 RESNET, PERCEPTRON = "regression resnet", "relu perceptron"  # the kinds
 KEY = "safety_harness"  # of the metadata
 LARGEST_BYTES = 64 * 2**20
+# Choices that bound the work which a foreign file can ask for. At a dropout of 0.9 the kept units already
+# grow tenfold.
 LARGEST_DROPOUT = 0.9
 MOST_PASSES = 1000
 MOST_MEMBERS = 100
 CARD_TIME = "decision_time_s"  # of the card: the cost of a decision in simulated time
 CARD_ARM = "arm"  # of the card: the training data come from this arm's cell
 LARGEST_ONNX_BYTES = 256 * 2**20
+# Field numbers of ONNX's ModelProto: graph and metadata_props.
 GRAPH, METADATA = 7, 14
 MOST_FIELDS = 10_000  # further fields are not read: a file may have millions of useless fields
 FIXED = {1: 8, 5: 4}  # bytes of a value by its wire type
@@ -54,6 +58,7 @@ FARTHEST_M = 10.0  # a seen space beyond this is not in metres, or not around a 
 
 INPUTS = 7  # hand (3) and TCP (3) in the base frame, normalised, and the constant 1
 OUTPUTS = 3
+# The published regression ResNet has three stages (Chen et al., 2020). The width is our choice.
 WIDTH = 32
 STAGES = 3
 BLOCKS = 3  # a stage: one dense block, then identity blocks
@@ -72,7 +77,7 @@ OfOutputs = Meta(min_length=OUTPUTS, max_length=OUTPUTS)
 
 
 class Dropout(Enum):
-    """The places of dropout at prediction time: nowhere, after each stage, before every layer."""
+    """The positions of dropout at prediction time: nowhere, after each stage, or before every layer."""
 
     NONE = "none"
     INTER = "inter"
@@ -84,7 +89,7 @@ PLACES = {Dropout.NONE: 0, Dropout.INTER: STAGES, Dropout.FULL: LAYERS + 1}  # o
 
 @dataclass(frozen=True, kw_only=True)
 class SeenSpace:
-    """The two boxes that the training data filled, as corners in the base frame [m]."""
+    """The two boxes that contain the training data, as corners in the base frame [m]."""
 
     hand_low_m: tuple[Corner, Corner, Corner]
     hand_high_m: tuple[Corner, Corner, Corner]
@@ -93,7 +98,7 @@ class SeenSpace:
 
     @property
     def boxes(self) -> dict[str, tuple[Vector3, Vector3]]:
-        """The low and the high corner of each box: "hand" for the hands and "tcp" for the TCPs."""
+        """The low and the high corner of each box, with the keys "hand" and "tcp"."""
         return {"hand": (self.hand_low_m, self.hand_high_m), "tcp": (self.tcp_low_m, self.tcp_high_m)}
 
     def __post_init__(self) -> None:
@@ -104,9 +109,10 @@ class SeenSpace:
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """A calibration on held-out TCPs of the seen space: interval multiplier and largest usable spread.
+    """The calibration of a network on held-out TCPs of the seen space.
 
-    ``more`` keeps all further records of the calibration in the file, which the harness does not interpret.
+    The calibration has an interval multiplier and the largest usable spread. The file may contain further
+    records of the calibration. The harness stores these records in ``more``, and does not interpret them.
     """
 
     interval_multiplier: Positive
@@ -118,7 +124,7 @@ class Calibration:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class NetworkUse:
-    """A network's dropout, seen space, calibration and card, in any kind of file."""
+    """A network's dropout, seen space, calibration and card, in any kind of network file."""
 
     dropout: Dropout
     dropout_probability: Annotated[float, Meta(ge=0.0, le=LARGEST_DROPOUT)]
@@ -129,17 +135,17 @@ class NetworkUse:
 
     @property
     def spread_threshold_m(self) -> float | None:
-        """The largest spread [m] of a usable proposal; None without a calibration."""
+        """The largest spread [m] of a usable proposal, or None without a calibration."""
         return None if self.calibration is None else self.calibration.spread_threshold_m
 
     @property
     def decision_time_s(self) -> float:
-        """The cost [s] of a decision in simulated time that the card declares; 0 without a declaration."""
+        """The simulated time [s] that the card declares for a decision, or 0 if it declares no time."""
         return float(self.card.get(CARD_TIME, 0.0))
 
     @property
     def made_for(self) -> str:
-        """The arm in whose cell the training data were drawn; the UR10 if the card names no arm."""
+        """The arm for whose cell the training data were drawn, or the UR10 if the card states no arm."""
         return str(self.card.get(CARD_ARM, Robot.UR10.label))
 
 
@@ -150,9 +156,10 @@ U = TypeVar("U", bound=NetworkUse)
 class ModelMetadata(NetworkUse):
     """The metadata of a model: everything except its tensors.
 
-    The network sees x = (input - input_mean) / input_std (6,) and the constant 1. Its output y stands for the
-    position target_mean + target_std y (3,) in the base frame. Means and standard deviations are in metres. A
-    perceptron gets no constant, and has two stages of one layer each.
+    The network gets x = (input - input_mean) / input_std, shape (6,), and the constant 1. The network's
+    output y has the shape (3,). This output represents the position target_mean + target_std y in the base
+    frame. Means and standard deviations are in metres. A perceptron does not get the constant. A perceptron
+    has two stages, and each stage has one layer.
     """
 
     format: str = FORMAT
@@ -178,21 +185,24 @@ class Model(ModelMetadata):
 
 
 def refuse(path: Path, name: str | None, expected: str, got: str, hint: str = "") -> NoReturn:
-    """Raise the ``ModelError`` of a file.
+    """Raise a ``ModelError`` about a file.
 
     Args:
         path: The file.
-        name: The field at fault. None: the whole file.
+        name: The field that is wrong. None means that the whole file is wrong.
         expected: The expected value, in words.
-        got: The value of the file, in words.
-        hint: Advice, if any.
+        got: The actual value in the file, in words.
+        hint: Advice for the user, or an empty text.
 
     """
     raise ModelError(place=Place(file=path, field=name), expected=expected, got=got, hint=hint)
 
 
 def layer_names() -> list[tuple[str, str]]:
-    """Return (block, number) of every layer before fc_out; tensors and masks have the same order."""
+    """Return the block and the number of every layer before fc_out.
+
+    Tensors and masks have the same order.
+    """
     return [
         (f"stages.{stage}.{block}", number)
         for stage in range(STAGES)
@@ -220,7 +230,10 @@ def tensor_shapes(kind: str = RESNET) -> dict[str, tuple[int, ...]]:
 
 
 def load_model(path: Path) -> Model:
-    """Read and check a model file; raise a ``ModelError`` that states the fault and its field."""
+    """Read and check a model file.
+
+    Raise a ``ModelError`` that states the fault and the field.
+    """
     refuse_other_kind(path, FileKind.MODEL, error=ModelError)
     return _parse(model_bytes(path, "a model file", most=LARGEST_BYTES), path)
 
@@ -228,13 +241,15 @@ def load_model(path: Path) -> Model:
 def model_bytes(
     path: Path, kind: str, *, most: int, place: Place | None = None, error: type[InputError] = ModelError
 ) -> bytes:
-    """Return the bytes of a regular file; raise ``error`` for anything else.
+    """Return the bytes of a regular file.
+
+    Raise ``error`` if the file is unreadable, too large or not a regular file.
 
     Args:
         path: The file.
-        kind: The kind of file, in words for the error.
+        kind: The kind of file, in words for the error's text.
         most: The largest number of bytes.
-        place: The place of the error. None: the file.
+        place: The place that the error states. None means the file.
         error: The class of the error.
 
     """
@@ -248,8 +263,8 @@ def model_bytes(
 def save_model(model: Model, path: Path) -> None:
     """Write ``model`` to ``path`` in one step, so that ``path`` never holds a part of a file.
 
-    Raise ``ModelError``, and write no file, if ``load_model`` would refuse the model. Raise ``OutputError``
-    if the file cannot be written.
+    If ``load_model`` would refuse the model, raise ``ModelError`` and write no file. Raise ``OutputError`` if
+    the file cannot be written.
     """
     tensors = {name: np.ascontiguousarray(tensor) for name, tensor in model.tensors.items()}
     try:
@@ -263,7 +278,7 @@ def save_model(model: Model, path: Path) -> None:
 
 @contextmanager
 def writing_to(path: Path) -> Iterator[None]:
-    """Raise ``OutputError`` if the block cannot write the file ``path``."""
+    """Raise ``OutputError`` if the code in the block cannot write the file ``path``."""
     try:
         yield
     except OSError as error:
@@ -271,7 +286,7 @@ def writing_to(path: Path) -> Iterator[None]:
 
 
 def refuse_foreign_cell(network: NetworkUse, settings: Settings, path: Path) -> None:
-    """Raise ``ModelError`` unless the network's seen space contains the cell's desired TCP and nominal hand.
+    """Raise ``ModelError`` if the cell's desired TCP or nominal hand is outside of the network's seen space.
 
     Args:
         network: The network, with its seen space.
@@ -305,7 +320,10 @@ def metadata_of(model: Model) -> dict[str, Any]:
 
 
 def _parse(data: bytes, path: Path) -> Model:
-    """Return the model in the bytes of a safetensors file; raise ``ModelError`` for the first fault."""
+    """Return the model that the bytes of a safetensors file contain.
+
+    Raise ``ModelError`` at the first fault.
+    """
     try:
         stored = dict(deserialize(data))  # type: ignore[no-untyped-call]  # checks every offset and length against the file's size
     except SafetensorError as error:
@@ -330,13 +348,15 @@ def _parse(data: bytes, path: Path) -> Model:
 
 
 def network_use(document: Any, kind: type[U], path: Path, *, unknown_fields: bool = False) -> U:
-    """Return the metadata of a model as ``kind``; raise ``ModelError`` for a wrong field.
+    """Return the metadata of a model as an object of the class ``kind``.
+
+    Raise ``ModelError`` if a field is wrong.
 
     Args:
         document: The JSON object of the metadata.
         kind: The class of the result.
         path: The file, for errors.
-        unknown_fields: Whether to accept further fields, which an exported file may have.
+        unknown_fields: Whether to accept additional fields, which an exported file may have.
 
     """
     if isinstance(document, dict) and isinstance(document.get("calibration"), dict):
@@ -387,17 +407,20 @@ def _tensors(
 
 
 def onnx_bytes(path: Path, place: Place | None = None, error: type[InputError] = ModelError) -> bytes:
-    """Return the bytes of an ONNX file; raise ``error`` if it is missing or too large.
+    """Return the bytes of an ONNX file.
 
-    The error states ``place`` as its place; None stands for the file.
+    Raise ``error`` if the file is missing or too large.
+
+    The error states ``place``, or the file if ``place`` is None.
     """
     return model_bytes(path, "an ONNX file", most=LARGEST_ONNX_BYTES, place=place, error=error)
 
 
 def onnx_metadata(path: Path, data: bytes) -> dict[str, str]:
-    """Return the metadata of the ONNX file ``path`` with the contents ``data``.
+    """Return the metadata of an ONNX file.
 
-    Raise ``ModelError`` unless it is an ONNX file.
+    ``path`` is the file, and ``data`` its contents. Raise ``ModelError`` if the contents are not an ONNX
+    file.
     """
     try:
         fields = list(islice(_fields(memoryview(data)), MOST_FIELDS))
@@ -411,7 +434,10 @@ def onnx_metadata(path: Path, data: bytes) -> dict[str, str]:
 
 
 def _fields(data: memoryview) -> Iterator[tuple[int, memoryview]]:
-    """Yield number and value of each field of a message; ``ValueError`` or ``IndexError`` for other bytes."""
+    """Yield the number and the value of each field of a message.
+
+    Raise ``ValueError`` or ``IndexError`` if the bytes are not a valid message.
+    """
     at = 0
     while at < len(data):
         key, at = _varint(data, at)
@@ -428,7 +454,10 @@ def _fields(data: memoryview) -> Iterator[tuple[int, memoryview]]:
 
 
 def _varint(data: memoryview, at: int) -> tuple[int, int]:
-    """Return the number at index ``at``, seven bits a byte with the lowest first, and the index after it."""
+    """Return the variable-length number at index ``at``, and the index after it.
+
+    Each byte contains seven bits of the number, with the lowest bits first.
+    """
     number = 0
     for shift in range(0, 70, 7):
         number |= (data[at + shift // 7] & 0x7F) << shift

@@ -1,4 +1,4 @@
-"""Open, lay out and run an ONNX file in onnxruntime, for avoiders and controllers."""
+"""Load an ONNX file in onnxruntime, find the quantities in its tensors, and run it."""
 
 from __future__ import annotations
 
@@ -15,45 +15,59 @@ from safety_harness.cell.avoidance.onnx_names import Quantities, Tensor, laid_ou
 
 
 class OnnxFile:
-    """An ONNX file as a function, which runs on one thread of the CPU in a fixed order of operations."""
+    """An ONNX file as a function.
+
+    The runtime uses one thread of the CPU and a fixed order of operations.
+    """
 
     inputs: list[Tensor]
     outputs: list[Tensor]
 
     def __init__(self, path: Path, data: bytes, layout: str = "") -> None:
-        """Load the file ``path`` with the contents ``data``; raise a ``ModelError`` that states its fault.
+        """Load the ONNX file ``path``, whose contents are ``data``.
 
-        ``layout`` states the quantities of inputs and outputs whose names are not ours (``onnx_names``).
+        Raise a ``ModelError`` that states the fault. If an input or output does not have a name of the
+        harness, ``layout`` states its quantities (``onnx_names``).
         """
         self.path, self.session, self.layout = path, open_session(path, data), layout_of(layout)
         self.metadata: dict[str, str] = dict(self.session.get_modelmeta().custom_metadata_map)
 
     def lay_out(self, takes: Quantities, gives: Quantities, required: set[str]) -> None:
-        """Find the quantities that each input and output holds; raise ``ModelError`` as ``laid_out`` does.
+        """Find the quantities that each input and output contains.
+
+        Raise ``ModelError`` in the same cases as ``laid_out``.
 
         Args:
-            takes: The quantities that inputs may hold, by name.
-            gives: The quantities that outputs may hold, by name.
-            required: The quantities that the file must have.
+            takes: The quantities that inputs may contain, by name.
+            gives: The quantities that outputs may contain, by name.
+            required: The quantities that the file must contain.
 
         """
         self.inputs, self.outputs = laid_out(self.path, self.session, self.layout, takes, gives, required)
 
     def fed(self, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-        """Return the file's inputs by name, made of the ``arrays`` (1, ...) of quantities."""
+        """Return the file's input tensors by name.
+
+        The tensors are composed of ``arrays``, which have the shape (1, ...).
+        """
         return {tensor.name: tensor.packed(arrays) for tensor in self.inputs}
 
     def answers(
         self, arrays: Mapping[str, NDArray[Any]], widths: Mapping[str, int]
     ) -> dict[str, NDArray[Any]]:
-        """Run the file; return the quantities of its outputs, each with its columns by ``widths``."""
+        """Run the file and return the quantities in its outputs.
+
+        ``widths`` states the number of columns of each quantity.
+        """
         values = self.session.run([tensor.name for tensor in self.outputs], self.fed(arrays))
         pairs = zip(self.outputs, values, strict=True)
         return dict(pair for tensor, value in pairs for pair in tensor.split(value, widths))
 
 
 def open_session(path: Path, data: bytes) -> Any:
-    """Return a session of onnxruntime with the file: one thread, a fixed order, no further file.
+    """Return a session of onnxruntime for the file.
+
+    The session uses one thread and a fixed order of operations, and does not open another file.
 
     Args:
         path: The file, for errors.
@@ -71,7 +85,10 @@ def open_session(path: Path, data: bytes) -> Any:
 
 
 def _session(path: Path, data: bytes, *, optimised: bool) -> Any:
-    """Load the file in onnxruntime, with or without optimisation; raise ``ModelError`` if that fails."""
+    """Load the file in onnxruntime, with or without optimisation.
+
+    Raise ``ModelError`` if this fails.
+    """
     import onnxruntime  # an extra, which the caller has checked
 
     options = onnxruntime.SessionOptions()

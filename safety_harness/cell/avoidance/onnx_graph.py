@@ -1,9 +1,9 @@
-"""Find the parts of an ONNX graph that make its answer random or dependent on optimisation.
+"""Find the parts of an ONNX graph that make its answers random, or that make them depend on optimisation.
 
 An optimising runtime may replace dropout by the identity, even if the exporter left dropout active. Such a
-file would then seem repeatable, and several passes in it would have the spread 0. So this module reads the
-graph itself, with its functions and inner graphs. It also compares the file's answers with and without the
-runtime's optimisation.
+file would then seem deterministic, and the spread of several passes would be 0. So this module reads the
+graph itself, including its functions and inner graphs. The module also compares the file's answers with and
+without the runtime's optimisation.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Constants = Mapping[str, NDArray[Any]]
 
 
 def refuse_chance(path: Path, data: bytes) -> None:
-    """Raise ``ModelError`` if the graph in ``data`` has an operator that is random or in training mode."""
+    """Raise ``ModelError`` if the graph in ``data`` has a random operator or an operator in training mode."""
     import onnx
     import onnx.inliner
 
@@ -50,7 +50,10 @@ def refuse_chance(path: Path, data: bytes) -> None:
 
 
 def _stored(tensors: Iterable[Any]) -> Constants:
-    """Return the boolean scalars and vectors among ``tensors``; other tensors cannot set a training mode."""
+    """Return the boolean scalars and vectors among ``tensors``.
+
+    Other tensors cannot set a training mode.
+    """
     from onnx import TensorProto, numpy_helper
 
     wanted = [tensor for tensor in tensors if tensor.data_type == TensorProto.BOOL and len(tensor.dims) <= 1]
@@ -58,7 +61,10 @@ def _stored(tensors: Iterable[Any]) -> Constants:
 
 
 def _refuse_nodes(path: Path, nodes: Sequence[Any], opsets: Iterable[Any], outer: Constants) -> None:
-    """Raise ``ModelError`` for the first random node; ``outer`` are the constants of the enclosing graph."""
+    """Raise ``ModelError`` at the first node that is random or may be in training mode.
+
+    ``outer`` contains the constants of the enclosing graph.
+    """
     from onnx import helper
 
     version = max((item.version for item in opsets if item.domain in ("", "ai.onnx")), default=1)
@@ -79,7 +85,7 @@ def _refuse_nodes(path: Path, nodes: Sequence[Any], opsets: Iterable[Any], outer
 
 
 def _may_train(node: Any, more: Mapping[str, Any], version: int, constants: Constants) -> bool:
-    """Return whether a node is in training mode, or may be."""
+    """Return whether a node is or may be in training mode."""
     if node.op_type == "BatchNormalization":
         return bool(more.get("training_mode", 0)) or sum(map(bool, node.output)) > 1
     if version < TRAINING_SAID_SINCE["Dropout"]:
@@ -90,7 +96,7 @@ def _may_train(node: Any, more: Mapping[str, Any], version: int, constants: Cons
 
 
 def refuse_dependence(path: Path, optimised: Any, plain: Any) -> None:
-    """Raise ``ModelError`` if sessions of a file with and without optimisation answer differently.
+    """Raise ``ModelError`` if a file answers differently with and without optimisation.
 
     Args:
         path: The file, for errors.
@@ -111,7 +117,7 @@ def refuse_dependence(path: Path, optimised: Any, plain: Any) -> None:
 
 
 def _feed(session: Any, rng: np.random.Generator) -> dict[str, NDArray[Any]] | None:
-    """Return one row of random numbers for each input; None if an input has no numeric type."""
+    """Return one row of random numbers for each input, or None if an input has no numeric type."""
     feed: dict[str, NDArray[Any]] = {}
     for tensor in session.get_inputs():
         dtype = dtype_of(tensor)
@@ -128,7 +134,10 @@ def _feed(session: Any, rng: np.random.Generator) -> dict[str, NDArray[Any]] | N
 
 
 def _answers(session: Any, feed: dict[str, NDArray[Any]] | None) -> list[Any] | None:
-    """Return the session's outputs, or None if it fails; the caller that uses the file reports why."""
+    """Return the outputs of the session, or None if it fails.
+
+    If the session fails, the code that later uses the file reports the reason.
+    """
     try:
         return None if feed is None else list(session.run(None, feed))
     except Exception:  # onnxruntime's own errors have no other common base
@@ -136,7 +145,10 @@ def _answers(session: Any, feed: dict[str, NDArray[Any]] | None) -> list[Any] | 
 
 
 def _close(a: Any, b: Any) -> bool:
-    """Return whether two outputs agree, apart from the rounding of sums in another order."""
+    """Return whether two outputs differ only by rounding.
+
+    A runtime may compute sums in a different order, which changes the rounding.
+    """
     if not (isinstance(a, np.ndarray) and isinstance(b, np.ndarray) and a.dtype.kind in "bfiu"):
         return True  # no contract has a sequence or text
     left, right = a.astype(np.float64), b.astype(np.float64)

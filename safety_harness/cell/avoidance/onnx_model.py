@@ -1,21 +1,23 @@
-"""Run the avoider in an ONNX file, which ``export`` or any author makes by the contract below.
+"""Run the avoider in an ONNX file.
 
-Inputs and outputs have the following names, or other names that a layout explains (``onnx_names``).
+The command ``export`` or any author can make such a file according to the contract below. Inputs and outputs
+have the following names, or other names that a layout explains (``onnx_names``).
 
 Inputs
     hand_position_in_base_m, tcp_position_in_base_m: (1, 3) or (n, 3), float16, float32 or float64, metres.
-    seed, if the file wants one: (1,) or (n,), int64 or uint64; the same 64 bits either way.
+    seed, if the file has this input: (1,) or (n,), int64 or uint64. Both types contain the same 64 bits.
 Outputs
     position_in_base_m: (1, 3), metres in the robot's base frame.
-    spread_m, if the file has it: (1, 3), one standard deviation by axis, metres.
+    spread_m, optional: (1, 3), one standard deviation per axis, metres.
 Metadata
     spread_threshold_m, optional: the largest spread of a usable proposal, as text.
     decision_time_s, optional: the cost of a decision in simulated time, as text.
 
-A file of ``export`` with dropout also has an input ``masks``. Its metadata say how to draw the masks from the
-seed. The harness loads a file whole, from memory. It executes only ONNX's own operators and opens no second
-file. These operators include loops and can make tensors of any size. So the harness runs a user's file in a
-process of its own (``isolation.isolated``); this module runs in the caller's process.
+If ``export`` makes a file of a network with dropout, the file also has an input ``masks``. The metadata state
+how to draw the masks from the seed. The harness loads the whole file from memory. The harness executes only
+ONNX's own operators, and does not open a second file. These operators include loops and can make tensors of
+any size. So the harness runs a user's file in a separate process (``isolation.isolated``). This module runs
+in the process of its caller.
 """
 
 from __future__ import annotations
@@ -64,7 +66,10 @@ GIVEN = {POSITION: NamedQuantity((3,), FLOATS), SPREAD: NamedQuantity((3,), FLOA
 
 @dataclass(frozen=True, eq=False)
 class OnnxAvoider:
-    """An avoider in an ONNX file, which runs on one thread of the CPU in a fixed order of operations."""
+    """An avoider in an ONNX file.
+
+    The file runs on one thread of the CPU in a fixed order of operations.
+    """
 
     name: str
     spread_threshold_m: float | None
@@ -74,11 +79,12 @@ class OnnxAvoider:
 
     @classmethod
     def load(cls, path: Path, data: bytes, *, hand: Vector, tcp: Vector, layout: str = "") -> OnnxAvoider:
-        """Load, check and try the file ``path`` with the contents ``data``; ``ModelError`` for a faulty file.
+        """Load, check and try an ONNX file.
 
-        ``layout`` states the quantities of inputs and outputs whose names are not ours (``onnx_names``). The
-        method asks the file the same question about ``hand`` and ``tcp`` (3,) [m] twice. Both answers must
-        have the right shape and the same bits.
+        ``path`` is the file, and ``data`` its contents. Raise ``ModelError`` if the file is faulty. If an
+        input or output does not have a name of the harness, ``layout`` states its quantities
+        (``onnx_names``). The method asks the same question twice, with the positions ``hand`` and ``tcp``
+        (3,) [m]. Both answers must have the right shape and the same bits.
         """
         try:
             file = OnnxFile(path, data, layout)
@@ -107,9 +113,9 @@ class OnnxAvoider:
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """Return the file's proposal, with the spread 0 if the file has no spread.
+        """Return the file's proposal.
 
-        ``seed`` is any integer from 0 to 2^64 - 1.
+        The spread is 0 if the file has no output for the spread. ``seed`` is any integer from 0 to 2^64 - 1.
         """
         answers = self._answers(hand_position_in_base_m, tcp_position_in_base_m, seed)
         return Proposal(*(answers[name][0] for name in GIVEN if name in answers))
@@ -127,7 +133,10 @@ class OnnxAvoider:
         return self._file.answers(arrays, dict.fromkeys(GIVEN, 3))
 
     def _try(self, path: Path, hand: Vector, tcp: Vector) -> None:
-        """Ask the same question twice; raise ``ModelError`` for a fault or different answers."""
+        """Ask the same question twice.
+
+        Raise ``ModelError`` if the file fails or its two answers differ.
+        """
         try:
             first, second = (self._answers(hand, tcp, seed=1) for _ in range(2))
         except Exception as error:  # onnxruntime's own errors have no other common base
@@ -149,7 +158,10 @@ class OnnxAvoider:
 
 
 def _exported(path: Path, text: str) -> NetworkUse:
-    """Return the ``NetworkUse`` in the JSON of a file of ``export``; ``ModelError`` for a wrong field."""
+    """Return the ``NetworkUse`` in the JSON metadata of an exported file.
+
+    Raise ``ModelError`` if a field is wrong.
+    """
     document = of_format(parsed(text, path, "metadata", ModelError), EXPORT_FORMAT, path, ModelError)
     return network_use(document, NetworkUse, path, unknown_fields=True)
 
@@ -160,12 +172,18 @@ def mask_shape(use: NetworkUse) -> tuple[int, int, int]:
 
 
 def drawn_masks(use: NetworkUse, seeds: NDArray[np.uint64]) -> NDArray[np.bool_]:
-    """Return the masks (n, passes, places, units) that ``LearnedAvoider`` uses for ``seeds`` (n,)."""
+    """Return the masks that ``LearnedAvoider`` uses for ``seeds`` (n,).
+
+    The masks have the shape (n, passes, places, units).
+    """
     return np.array([masks(seed, *mask_shape(use), use.dropout_probability) for seed in seeds])
 
 
 def _inputs_of(exported: NetworkUse | None) -> dict[str, NamedQuantity]:
-    """Return the quantities that the inputs may hold, with masks for a file of ``export``."""
+    """Return the quantities that the inputs may contain.
+
+    An exported network with dropout also has masks.
+    """
     masked = exported is not None and exported.dropout is not Dropout.NONE
     masks = {MASKS: NamedQuantity(mask_shape(exported), ("bool",))} if exported and masked else {}
     return {
@@ -177,7 +195,10 @@ def _inputs_of(exported: NetworkUse | None) -> dict[str, NamedQuantity]:
 
 
 def _number(path: Path, metadata: Mapping[str, str], key: str, most: float = inf) -> float | None:
-    """Return the spread threshold [m] or the decision time [s] in a file's metadata, if any."""
+    """Return a number in a file's metadata, or None if it is absent.
+
+    The number is a spread threshold [m] or a decision time [s].
+    """
     text = metadata.get(key)
     if text is None:
         return None

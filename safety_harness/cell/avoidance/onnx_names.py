@@ -1,9 +1,9 @@
-"""Find the quantities in each input and output of an ONNX file, by our names or by a layout.
+"""Find the quantities in the inputs and outputs of an ONNX file.
 
-Exporters choose their own names, such as ``input``, ``float_input``, ``X`` or ``obs``. In a scenario and on
-the command line, a layout follows the file's name: ``mine.onnx:X=hand,tcp,Y=position``. The words after
-``NAME=`` are the quantities in the tensor NAME, in the order of its columns. The harness does not read an
-output that is ``unused``.
+The harness identifies these quantities by its own names or by a layout. Exporters choose their own names,
+such as ``input``, ``float_input``, ``X`` or ``obs``. In a scenario and on the command line, a layout follows
+the file's name: ``mine.onnx:X=hand,tcp,Y=position``. The text after ``NAME=`` lists the quantities in the
+tensor NAME, in the order of its columns. The harness ignores an output with the quantity ``unused``.
 """
 
 from __future__ import annotations
@@ -30,9 +30,11 @@ MOST_FREE, MOST_WAYS, MOST_TRIED = 6, 3, 1000  # quantities laid out by shape, l
 
 @dataclass(frozen=True)
 class NamedQuantity:
-    """A quantity's ``sizes``, its axes after the first (None: any), and its ``types``, by numpy's names.
+    """A quantity in a tensor.
 
-    If ``in_chunks``, a tensor of such quantities may have k rows of columns: (1, k, columns).
+    ``sizes`` are the quantity's axes after the first axis, or None if any axes are possible. ``types`` are
+    numpy's names of the types that the quantity may have. If ``in_chunks`` is True, a tensor of such
+    quantities may have k rows, shape (1, k, columns).
     """
 
     sizes: tuple[int, ...] | None
@@ -46,7 +48,7 @@ Layout = Mapping[str, tuple[str, ...]]  # the quantities in each tensor
 
 @dataclass(frozen=True)
 class Tensor:
-    """An input or output of a file, with the quantities that it holds."""
+    """An input or output of a file, with the names of its quantities."""
 
     name: str
     holds: tuple[str, ...]
@@ -54,26 +56,32 @@ class Tensor:
     axes: int
 
     def packed(self, arrays: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
-        """Return the tensor's value, made of the ``arrays`` (1, ...) of its quantities."""
+        """Return the tensor's value, composed of the ``arrays`` (1, ...) for the tensor's quantities."""
         value, *more = (arrays[name] for name in self.holds)
         if more or self.axes == 2 != value.ndim:
             value = np.concatenate([array.reshape(1, -1) for array in (value, *more)], axis=1)
         return value.astype(self.dtype, copy=False)
 
     def split(self, value: NDArray[Any], widths: Mapping[str, int]) -> Iterator[tuple[str, NDArray[Any]]]:
-        """Yield each quantity with its columns of ``value`` (1, m); the last quantity gets all the rest."""
+        """Yield each quantity with its columns of ``value`` (1, m).
+
+        The last quantity gets all remaining columns.
+        """
         ends = np.cumsum([widths[name] for name in self.holds[:-1]], dtype=int)
         yield from zip(self.holds, np.split(value, ends, axis=-1) if len(ends) else [value], strict=True)
 
 
 def dtype_of(tensor: Any) -> str:
-    """Return numpy's name for the type of a session's tensor, or onnxruntime's name for another type."""
+    """Return numpy's name for the type of a tensor, or onnxruntime's name if numpy lacks the type."""
     kind = str(tensor.type).removeprefix("tensor(").removesuffix(")")
     return {"float": "float32", "double": "float64"}.get(kind, kind)
 
 
 def layout_of(text: str) -> dict[str, tuple[str, ...]]:
-    """Return the quantities in each tensor of the layout ``text``, whose short names become long names."""
+    """Return the quantities in each tensor according to the layout ``text``.
+
+    The function replaces short names of quantities by long names.
+    """
     layout: dict[str, tuple[str, ...]] = {}
     name = ""
     for part in map(str.strip, text.split(",")) if text else ():
@@ -86,15 +94,15 @@ def layout_of(text: str) -> dict[str, tuple[str, ...]]:
 def laid_out(
     path: Path, session: Any, layout: Layout, takes: Quantities, gives: Quantities, required: set[str]
 ) -> list[list[Tensor]]:
-    """Return the inputs and the used outputs of a file.
+    """Return the inputs of a file, and the outputs that the harness uses.
 
     Args:
         path: The file, for errors.
-        session: The file in onnxruntime.
-        layout: The quantities of tensors whose names are not ours.
-        takes: All quantities that inputs may hold.
-        gives: All quantities that outputs may hold.
-        required: The quantities that the file must have.
+        session: The session of the file in onnxruntime.
+        layout: The quantities in each tensor that does not have a name of the harness.
+        takes: All quantities that inputs may contain.
+        gives: All quantities that outputs may contain.
+        required: The quantities that the file must contain.
 
     Raises:
         ModelError: A tensor has an unknown name, or a wrong type or shape. For unknown names, the error lists
@@ -129,7 +137,10 @@ def laid_out(
 
 
 def _tensor(path: Path, tensor: Any, holds: tuple[str, ...], known: Quantities) -> Tensor:
-    """Return an input or output with its quantities ``holds``; raise ``ModelError`` for another type."""
+    """Return an input or output with its quantities ``holds``.
+
+    Raise ``ModelError`` if its type does not suit the quantities.
+    """
     for name in holds:
         if dtype_of(tensor) not in known[name].types:
             refuse(path, tensor.name, " or ".join(known[name].types), tensor.type)
@@ -137,9 +148,9 @@ def _tensor(path: Path, tensor: Any, holds: tuple[str, ...], known: Quantities) 
 
 
 def _rests(quantities: Sequence[NamedQuantity]) -> list[tuple[int, ...]]:
-    """Return the possible axes, after the first, of a tensor that holds ``quantities``.
+    """Return all possible shapes, without the first axis, of a tensor with ``quantities``.
 
-    A single quantity may keep its own axes; several quantities lie side by side as columns.
+    A single quantity may keep its own axes. Several quantities form adjacent columns.
     """
     widths = [ANY if quantity.sizes is None else prod(quantity.sizes) for quantity in quantities]
     columns = (ANY if ANY in widths else sum(widths),)
@@ -148,12 +159,15 @@ def _rests(quantities: Sequence[NamedQuantity]) -> list[tuple[int, ...]]:
 
 
 def _shape(quantities: Sequence[NamedQuantity]) -> list[int | str]:
-    """Return the shape of a tensor with ``quantities``, for an error's text."""
+    """Return the shape of a tensor with ``quantities``, for the text of an error."""
     return ["1 or n", *(size or "k" for size in _rests(quantities)[0])]
 
 
 def _fits(shape: Sequence[int | str | None], quantities: Sequence[NamedQuantity]) -> bool:
-    """Return whether ``shape`` has one or any number of rows, followed by the axes of ``quantities``."""
+    """Return whether a tensor with ``quantities`` may have this ``shape``.
+
+    The first axis must have the size one, or no fixed size.
+    """
     return quantities[0].sizes is None or any(
         len(shape) == 1 + len(rest)
         and all(a == b or b == ANY or not isinstance(a, int) for a, b in zip(shape, (1, *rest), strict=True))
@@ -162,10 +176,10 @@ def _fits(shape: Sequence[int | str | None], quantities: Sequence[NamedQuantity]
 
 
 def _layouts(free: Sequence[tuple[Any, Quantities]], missing: set[str], outputs: set[str]) -> Iterator[str]:
-    """Yield the layouts that fit the shapes of the ``free`` tensors, each given with its possible quantities.
+    """Yield the layouts that fit the shapes of the ``free`` tensors.
 
-    Every layout contains all ``missing`` quantities. It calls an output unused if no quantity fits it, unless
-    the file has no other output.
+    Each tensor comes with its possible quantities. Every layout contains all ``missing`` quantities. If an
+    output suits no quantity, the layout marks this output as unused, unless it is the file's only output.
     """
     short, choices = {name: short_name for short_name, name in SHORT.items()}, []
     for tensor, known in free:

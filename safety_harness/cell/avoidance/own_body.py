@@ -1,9 +1,10 @@
 """Compute the distance of the arm's wrist from its body, which the gate checks along a path.
 
 The body of an arm with n joints consists of the links up to n - 4. For six joints these are base, shoulder
-and upper arm. The wrist consists of the links from n - 2 on: three links and the TCP's frame. The link
-between body and wrist touches both. If the wrist's first link is near the body in most postures, this is the
-arm's design. The wrist then begins at the next link. An example is a Panda's forearm at its elbow.
+and upper arm. The wrist consists of the links from number n - 2 on: three links and the TCP's frame. The
+check ignores the link in between, which touches both body and wrist. If the wrist's first link is near the
+body in most postures, the arm is built that way. The wrist then begins at the next link. An example is the
+forearm of a Panda at its elbow.
 """
 
 from __future__ import annotations
@@ -27,7 +28,10 @@ POSTURES = 64
 
 @lru_cache(maxsize=16)
 def body_and_wrist(arm: ArmModel, capsules: CapsuleSet) -> tuple[int, int]:
-    """Return the numbers of the body's last link and the wrist's first link; the base is link 0."""
+    """Return the numbers of the body's last link and of the wrist's first link.
+
+    The base is link 0.
+    """
     joints = len(arm.joint_names)
     body, wrist = max(joints - 4, 0), max(joints - 2, 2)
     postures = starts_of(arm)[:POSTURES]
@@ -44,11 +48,13 @@ def body_and_wrist(arm: ArmModel, capsules: CapsuleSet) -> tuple[int, int]:
 def wrist_distance(
     capsules: NDArray[np.void], last: int, first: int, capsule_endpoints_in_base_m: NDArray[np.float64]
 ) -> float:
-    """Return the least distance [m] between the wrist (links from ``first`` on) and the links up to ``last``.
+    """Return the least distance [m] between wrist and body.
 
-    This is the minimum over pairs of wrist and body capsules of |axis, axis| - r_wrist - r_body. ``capsules``
-    (n,) CAPSULE, ``capsule_endpoints_in_base_m`` (n, 2, 3) of ``place_capsules``. The result is negative in
-    penetration, and NaN if any distance is NaN.
+    The wrist has the links from ``first`` on, and the body has the links up to ``last``. The result is the
+    minimum of d - r_wrist - r_body over all pairs of a wrist capsule and a body capsule. Here d is the
+    distance between the axes of the two capsules. ``capsules`` (n,) has the type CAPSULE, and
+    ``capsule_endpoints_in_base_m`` (n, 2, 3) is the result of ``place_capsules``. The result is negative if
+    the bodies overlap, and NaN if any distance is NaN.
     """
     ends = capsule_endpoints_in_base_m
     least = np.inf  # the loop skips pairs that cannot be nearer than this
@@ -73,7 +79,10 @@ def wrist_distance(
 def own_distances(
     arm: ArmModel, capsules: CapsuleSet, joint_positions_rad: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the ``wrist_distance`` (m,) [m] of ``arm`` at each of ``joint_positions_rad`` (m, n)."""
+    """Return the ``wrist_distance`` [m] of ``arm`` at each joint position, shape (m,).
+
+    ``joint_positions_rad`` has the shape (m, n).
+    """
     return _own_distances(arm_with(arm, capsules), *body_and_wrist(arm, capsules), joint_positions_rad)
 
 
@@ -81,7 +90,10 @@ def own_distances(
 def _own_distances(
     arm: Arm, last: int, first: int, joint_positions_rad: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the ``wrist_distance`` (m,) [m] at each of ``joint_positions_rad`` (m, n)."""
+    """Return the ``wrist_distance`` [m] at each joint position, shape (m,).
+
+    ``joint_positions_rad`` has the shape (m, n).
+    """
     frames = arm.reach_m.shape[0] + 2  # records of ``chain`` have no attributes without compilation
     transforms, ends = np.empty((frames, 4, 4)), np.empty((arm.capsules.shape[0], 2, 3))
     distances = np.empty(joint_positions_rad.shape[0])

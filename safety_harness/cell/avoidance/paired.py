@@ -1,4 +1,7 @@
-"""Compare the answers of two avoiders to the same questions: which errors does one make more often?"""
+"""Find the errors that an avoider makes more often than a reference.
+
+Both avoiders answer the same questions.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,10 @@ MORE = 0.03  # share of questions; int8 weights or another training seed lead to
 
 
 class WrongAnswer(Enum):
-    """An error of an answer; a missing answer is an error of the first three kinds."""
+    """A kind of error in an answer.
+
+    A missing answer counts as an error of each of the first three kinds.
+    """
 
     LEADS_TOWARDS = "leads towards the hand, or does not answer,"
     FAR_OFF = f"is more than {1e3 * WRONG_M:g} mm off the optimum, or does not answer,"
@@ -29,9 +35,11 @@ class WrongAnswer(Enum):
 
 @dataclass(frozen=True, eq=False)
 class PosedAnswers:
-    """Answers to questions, with the closed-form optimum of each; one row each, in the base frame.
+    """The answers of an avoider, with the questions and their closed-form optima.
 
-    Positions and spreads are (n, 3) [m], NaN for a missing answer. ``thresholds_m`` (n,) are NaN without one.
+    Each question has one row, and positions are in the base frame. Positions and spreads have the shape (n,
+    3) [m], and are NaN for a missing answer. ``thresholds_m`` (n,) contains the spread threshold for each
+    answer, or NaN if there is no threshold.
     """
 
     hands_in_base_m: ArrayNx3
@@ -43,11 +51,14 @@ class PosedAnswers:
 
     @property
     def off_m(self) -> NDArray[np.float64]:
-        """The distance (n,) of each answer from the optimum [m]."""
+        """The distance [m] of each answer from the optimum, shape (n,)."""
         return off_m(self.positions_in_base_m, self.optima_in_base_m)
 
     def makes_error(self, kind: WrongAnswer, rival: PosedAnswers) -> NDArray[np.bool_]:
-        """Return whether (n,) each answer makes the error ``kind``; FARTHER_OFF is beside the ``rival``."""
+        """Return whether each answer makes the error ``kind``, shape (n,).
+
+        The kind ``FARTHER_OFF`` compares the answers with the answers of ``rival``.
+        """
         hands, tcps, proposed = self.hands_in_base_m, self.tcps_in_base_m, self.positions_in_base_m
         if kind is WrongAnswer.LEADS_TOWARDS:
             return np.asarray(~(gained_m(hands, tcps, proposed) >= 0.0))
@@ -61,11 +72,13 @@ class PosedAnswers:
 def more_often_wrong(
     mine: PosedAnswers, theirs: PosedAnswers, reference: str, chance: float
 ) -> Iterator[tuple[WrongAnswer, str, NDArray[np.int64]]]:
-    """Yield each error that an avoider makes more often than ``reference``, a sentence, and its rows.
+    """Yield the errors that an avoider makes more often than ``reference``.
 
-    An exact paired sign test compares the errors of both.  An error counts if the avoider makes it more often
-    by over ``MORE`` of all questions.  It also counts if the avoider makes it more often on the questions
-    where both answers are more than ``WRONG_M`` apart.
+    Each error comes with a sentence about it, and with the rows in which only the avoider makes it. An exact
+    paired sign test compares how often the two avoiders make an error. The avoider is worse if it makes an
+    error on more questions than the reference, and the difference exceeds the fraction ``MORE`` of all
+    questions. The avoider is also worse if it makes the error more often on the questions where the two
+    answers are more than ``WRONG_M`` apart.
 
     Args:
         mine: The answers of the avoider under test (n rows).
@@ -96,7 +109,10 @@ def more_often_wrong(
 
 
 def slower_words(own_s: float, other_s: float, tick_s: float, reference: str) -> str:
-    """Return a sentence if an avoider declares over a tick more for a decision than ``reference``, or ""."""
+    """Return a sentence if an avoider's declared decision time exceeds that of ``reference`` by over a tick.
+
+    Otherwise return an empty string.
+    """
     if own_s <= other_s + tick_s:
         return ""
     own_ms, other_ms = 1e3 * own_s, 1e3 * other_s

@@ -1,15 +1,17 @@
 """Compute the decision of a small ReLU network: three affine maps in float64, so that proofs are short.
 
-The kernel computes for each member, with x (6,) the hand and the TCP in the base frame [m]:
+Each member computes the position p [m] from x (6,), which contains the hand and the TCP in the base frame
+[m]:
 
-    h = relu(A1 x + b1),  g = relu(A2 h + b2),  p = A3 g + b3        widths 6, 32, 32, 3; p in metres.
+    h = relu(A1 x + b1),  g = relu(A2 h + b2),  p = A3 g + b3
 
-The sum of every unit starts with its bias and adds its inputs in order. The kernel rounds each product and
-each sum to float64 separately, without fused operations. The function relu(z) is 0 for z < 0, and otherwise
-z. A1, b1, A3 and b3 include the normalisation, which ``fold_perceptron`` computes and rounds once. These
-rounded numbers *are* the network; float64 represents a file's float32 numbers exactly. The position is the
-members' mean: their sum in order, divided by their number. The spread is the root of the members' mean
-squared difference from the position, in the same order.
+The layers have the widths 6, 32, 32 and 3. The sum of every unit starts with its bias and adds its inputs in
+order. The kernel rounds each product and each sum to float64 separately, without fused operations. The
+function relu(z) is 0 for z < 0, and z otherwise. A1, b1, A3 and b3 include the normalisation, which
+``fold_perceptron`` computes and rounds once. These rounded numbers define the network. The float32 numbers of
+a file are exact in float64. The position is the mean of the members: their sum in a fixed order, divided by
+their number. The spread is the root mean square of the members' differences from the position, summed in the
+same order.
 """
 
 from __future__ import annotations
@@ -29,7 +31,10 @@ Float64s = NDArray[np.float64]
 
 
 class Perceptron(NamedTuple):
-    """The contiguous arrays of a model with m members; weights are [input, output], quantities in metres."""
+    """The contiguous arrays of a model with m members.
+
+    Weights have the axes [input, output], and quantities are in metres.
+    """
 
     weight1: Float64s  # (m, 6, WIDTH)
     bias1: Float64s  # (m, WIDTH)
@@ -42,8 +47,8 @@ class Perceptron(NamedTuple):
 def fold_perceptron(model: Model) -> Perceptron:
     """Return the arrays of ``model``, which include the normalisation of inputs and targets.
 
-    W and v are the file's weights and biases; m and s are mean and deviation. For the inputs, A1 = W1 / s and
-    b1 = v1 - A1 m. For the targets, A3 = s W3 and b3 = m + s v3.
+    W and v are the weights and biases in the file, m is the mean, and s is the standard deviation. For the
+    inputs, A1 = W1 / s and b1 = v1 - A1 m. For the targets, A3 = s W3 and b3 = m + s v3.
     """
 
     def stacked(name: str) -> Float64s:
@@ -65,12 +70,14 @@ def fold_perceptron(model: Model) -> Perceptron:
 
 @compiled
 def _layer(weight: Float64s, bias: Float64s, x: Float64s, rectified: bool, out: Float64s) -> None:
-    """Fill ``out`` with bias + x weight, or with its ReLU if ``rectified``; NaN stays NaN.
+    """Fill ``out`` with bias + x weight, or with the ReLU of this sum if ``rectified`` is True.
 
-    ``weight`` (n, m), ``bias`` (m,), ``x`` (n,), ``out`` (m,).
+    NaN stays NaN. The shapes are ``weight`` (n, m), ``bias`` (m,), ``x`` (n,) and ``out`` (m,).
     """
     for j in range(out.shape[0]):
         out[j] = bias[j]
+    # Inputs outside, units inside: the loop over units can be vectorised without a change of any unit's order
+    # of additions.
     for i in range(x.shape[0]):
         for j in range(out.shape[0]):
             out[j] += x[i] * weight[i, j]
@@ -81,9 +88,9 @@ def _layer(weight: Float64s, bias: Float64s, x: Float64s, rectified: bool, out: 
 
 @compiled
 def answer(network: Perceptron, member: int, x: Float64s, h: Float64s, g: Float64s, out: Float64s) -> None:
-    """Fill ``out`` (3,) with a member's position [m] for hand and TCP, ``x`` (6,).
+    """Fill ``out`` (3,) with a member's position [m] for the input ``x`` (6,).
 
-    ``h`` (WIDTH,) and ``g`` (WIDTH,) are scratch arrays.
+    The input contains the hand and the TCP. ``h`` (WIDTH,) and ``g`` (WIDTH,) are scratch arrays.
     """
     _layer(network.weight1[member], network.bias1[member], x, True, h)
     _layer(network.weight2[member], network.bias2[member], h, True, g)
@@ -98,7 +105,7 @@ def decide_perceptron(
     positions: ArrayNx3,
     spreads: ArrayNx3,
 ) -> None:
-    """Fill positions and spreads (n, 3) [m] for hands and tcps (n, 3) in the base frame."""
+    """Fill ``positions`` and ``spreads`` [m] for hands and TCPs in the base frame, all of shape (n, 3)."""
     members = network.weight1.shape[0]
     x, h, g = np.empty(PERCEPTRON_INPUTS), np.empty(WIDTH), np.empty(WIDTH)
     answers = np.empty((members, OUTPUTS))

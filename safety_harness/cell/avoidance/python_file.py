@@ -18,18 +18,18 @@ HINT = "safety-harness docs how-to/avoider#a-python-file"
 
 
 def refuse_undefined(path: Path, name: str, place: Place) -> None:
-    """Raise ``InadmissibleError`` at ``place`` unless the file is Python and may define an avoider ``name``.
+    """Raise ``InadmissibleError`` unless a Python file may define an avoider called ``name``.
 
-    The function reads the file's text and does not execute it.
+    The error states ``place``. The function reads the file's text and does not execute it.
     """
     refuse_undefined_there(path, name, METHODS, place, HINT, QUESTION)
 
 
 def avoider_in(path: Path, source: bytes, name: str) -> Avoider:
-    """Return the avoider ``name`` of a file; if ``name`` is a class, make an instance without arguments.
+    """Return the avoider ``name`` of a file.
 
-    Raise ``InadmissibleError`` if the file ``path`` has no such avoider. The caller replaces the place that
-    the error states.
+    If ``name`` is a class, the function creates an instance without arguments. Raise ``InadmissibleError`` if
+    the file ``path`` has no such avoider. The caller replaces the place in this error.
     """
     return _admissible(path, made_by(path, source, name, "an avoider", AVOIDER, HINT), name)
 
@@ -68,5 +68,5 @@ def _admissible(path: Path, candidate: object, name: str) -> Avoider:
 
 
 def _refuse(place: Place, expected: str, got: str) -> NoReturn:
-    """Raise ``InadmissibleError`` with the hint of this module."""
+    """Raise an ``InadmissibleError`` with the hint of this module."""
     raise InadmissibleError(place=place, expected=expected, got=got, hint=HINT) from None

@@ -2,13 +2,13 @@
 
 The sum of a unit starts with its bias and adds its inputs in order. The processor may compute several *units*
 at once, but never reorders a sum. The kernel uses no BLAS, because its order of sums depends on the batch. So
-the bits of a decision depend on its input, its seed and the network alone. They are the same for a single
-decision and in a batch of a million.
+the bits of a decision depend on its input, its seed and the network alone. These bits are the same for a
+single decision and for a batch of a million decisions.
 
 ``fold`` turns a model into a few arrays and folds batch norm into the layers. In evaluation mode batch norm
-is affine: bn(z) = s z + (beta - s mean) with s = gamma / sqrt(var + eps). So bn(W x + b) = (s W) x + (s (b -
-mean) + beta). ``fold`` computes this in float64 and rounds it to float32 once. Only bn_out stays separate,
-because "full" dropout comes between it and the next layer.
+is affine: bn(z) = s z + (beta - s mean) with s = gamma / sqrt(var + eps). So bn(W x + b) = (s W) x + (s
+(b - mean) + beta). ``fold`` computes this in float64 and rounds it to float32 once. Only bn_out stays
+separate, because "full" dropout comes between it and the next layer.
 """
 
 from __future__ import annotations
@@ -54,9 +54,9 @@ SLOTS = 5
 class FoldedNetwork(NamedTuple):
     """The contiguous arrays of a model with m members.
 
-    Layers are in the state dict's order (fc1, fc2, fc3, fcs of block 0 of stage 0, then block 1, ...).
-    Weights have their outputs on the last axis, so that the kernel's innermost loop reads memory in order. In
-    the first layers, inputs beyond INPUTS have weight 0.
+    Layers are in the order of the state dict: fc1, fc2, fc3 and fcs of block 0 of stage 0, then the layers of
+    block 1, and so on. Weights have their outputs on the last axis, so that the kernel's innermost loop reads
+    memory in order. In the first layers, the weights of inputs beyond INPUTS are 0.
     """
 
     weight: Float32s  # (m, LAYERS, WIDTH, WIDTH), [input, output]
@@ -104,14 +104,17 @@ def fold(model: Model) -> FoldedNetwork:
 
 
 def _affine(tensors: Mapping[str, Float32s], prefix: str) -> tuple[Float64s, Float64s]:
-    """Return scale and shift of a batch norm in evaluation mode, each (WIDTH,)."""
+    """Return the scale and the shift of a batch norm in evaluation mode, each (WIDTH,)."""
     gamma, beta, mean, variance = (tensors[f"{prefix}.{part}"].astype(np.float64) for part in NORM)
     scale = gamma / np.sqrt(variance + EPSILON)
     return scale, beta - scale * mean
 
 
 def _folded_layer(tensors: Mapping[str, Float32s], prefix: str, number: str) -> tuple[Float64s, Float64s]:
-    """Return weight (WIDTH, inputs) and bias (WIDTH,) of a layer, including the batch norm after it."""
+    """Return the weight (WIDTH, inputs) and the bias (WIDTH,) of a layer.
+
+    The weight and the bias include the batch norm after the layer.
+    """
     scale, shift = _affine(tensors, f"{prefix}.bn{number}")
     weight = tensors[f"{prefix}.fc{number}.weight"].astype(np.float64)
     bias = tensors[f"{prefix}.fc{number}.bias"].astype(np.float64)
@@ -120,12 +123,12 @@ def _folded_layer(tensors: Mapping[str, Float32s], prefix: str, number: str) -> 
 
 @compiled
 def _layer(weight: Float32s, bias: Float32s, layer: int, work: Float32s, x: int, rows: int, out: int) -> None:
-    """Fill slot ``out`` with bias + x weight of ``layer``, with batch norm but without ReLU.
+    """Compute bias + x weight for the layer ``layer``, and store the result in slot ``out``.
 
-    The loop takes five rows at a time. So it loads each weight once for five rows, and no addition waits for
-    the previous addition. It takes the remaining rows one by one, and adds a unit's inputs in the same order.
-    Everything is in one function, because numba does not vectorise inner loops with calls or with bounds that
-    are not constants.
+    The sum includes the batch norm but not the ReLU. The loop processes five rows at a time. So the loop
+    loads each weight once for five rows, and no addition waits for the previous addition. The function
+    computes the remaining rows one by one, and adds a unit's inputs in the same order. Everything is in one
+    function. Numba would not vectorise an inner loop that contains a call, or whose bounds are not constants.
     """
     together = rows - rows % ROWS
     for row in range(together):
@@ -151,6 +154,8 @@ def _layer(weight: Float32s, bias: Float32s, layer: int, work: Float32s, x: int,
                 t2 = work[out, row + 2, j]
                 t3 = work[out, row + 3, j]
                 t4 = work[out, row + 4, j]
+                # A row adds its inputs in rising order, as ``_layer_of_row`` does. The rows alternate, so
+                # that no addition waits.
                 t0 += a0 * w0
                 t1 += b0 * w0
                 t2 += c0 * w0
@@ -184,7 +189,10 @@ def _layer(weight: Float32s, bias: Float32s, layer: int, work: Float32s, x: int,
 def _layer_of_row(
     weight: Float32s, bias: Float32s, layer: int, work: Float32s, x: int, row: int, out: int
 ) -> None:
-    """Fill one row as ``_layer`` does; the loop takes STEP inputs at once to keep the sums in registers."""
+    """Fill one row as ``_layer`` does.
+
+    The loop adds STEP inputs at a time, to keep the sums in registers.
+    """
     for j in range(WIDTH):
         work[out, row, j] = bias[layer, j]
     for i in range(0, WIDTH, STEP):
@@ -205,7 +213,10 @@ def _layer_of_row(
 
 @compiled
 def _rectify(work: Float32s, x: int, rows: int) -> None:
-    """Apply ReLU in place; NaN stays NaN (``max`` would make it 0)."""
+    """Apply ReLU in place.
+
+    NaN stays NaN, whereas ``max`` would make it 0.
+    """
     for row in range(rows):
         for j in range(WIDTH):
             work[x, row, j] = ZERO if work[x, row, j] < ZERO else work[x, row, j]
@@ -258,7 +269,10 @@ def _block(
     rows: int,
     out: int,
 ) -> None:
-    """Apply the block whose fc1 is ``layer`` (figure 4 of the paper), from slot ``x`` to slot ``out``."""
+    """Apply a block (figure 4 of the paper) to slot ``x``, and store the result in slot ``out``.
+
+    The number of the block's layer fc1 is ``layer``.
+    """
     _connect(weight, bias, layer, factors, work, x, rows, H)
     _rectify(work, H, rows)
     _connect(weight, bias, layer + 1, factors, work, H, rows, G)
@@ -273,7 +287,7 @@ def _block(
 
 @compiled
 def _repeat_first_row(work: Float32s, x: int, rows: int) -> None:
-    """Copy the first row of slot ``x`` into the following rows, so that ``rows`` rows are equal."""
+    """Copy the first row of slot ``x`` into the next rows, so that the first ``rows`` rows are equal."""
     for row in range(1, rows):
         for j in range(WIDTH):
             work[x, row, j] = work[x, 0, j]
@@ -281,13 +295,16 @@ def _repeat_first_row(work: Float32s, x: int, rows: int) -> None:
 
 @compiled
 def _stages(weight: Float32s, bias: Float32s, factors: Float32s, work: Float32s, x: int, y: int) -> int:
-    """Apply the three stages to row 0 of slot ``x``; return the slot with the result, ``x`` or ``y``.
+    """Apply the three stages to row 0 of slot ``x``, and return the number of the result's slot.
+
+    The result is in slot ``x`` or in slot ``y``.
 
     Until the first dropout all passes are the same, so they share one row.
     """
     places, passes = factors.shape[0], work.shape[1]
     rows = 1
     if places == FULL_PLACES:
+        # Every pass has its own masks from here on.
         rows = passes
         _repeat_first_row(work, x, rows)
     for stage in range(STAGES):
@@ -296,6 +313,7 @@ def _stages(weight: Float32s, bias: Float32s, factors: Float32s, work: Float32s,
             _block(weight, bias, layer, block == 0, factors, work, x, rows, y)
             x, y = y, x
         if places == STAGES:
+            # The first dropout is after this stage, so the passes become different here.
             if stage == 0:
                 rows = passes
                 _repeat_first_row(work, x, rows)
@@ -308,7 +326,10 @@ def _stages(weight: Float32s, bias: Float32s, factors: Float32s, work: Float32s,
 def _answer(
     network: FoldedNetwork, member: int, factors: Float32s, work: Float32s, x: int, answers: Float32s
 ) -> None:
-    """Apply bn_out and fc_out to slot ``x``; fill a member's normalised ``answers`` (m, passes, OUTPUTS)."""
+    """Apply bn_out and fc_out to slot ``x``, and store the normalised answers of a member.
+
+    ``answers`` has the shape (m, passes, OUTPUTS).
+    """
     for row in range(work.shape[1]):
         for j in range(WIDTH):
             work[H, row, j] = work[x, row, j] * network.scale_out[member, j] + network.shift_out[member, j]
@@ -326,9 +347,10 @@ def _answer(
 
 @compiled
 def _summarise(network: FoldedNetwork, answers: Float32s, position: Array3, spread: Array3) -> None:
-    """Fill ``position`` and ``spread`` with mean and standard deviation (ddof 0) of all answers [m]."""
+    """Fill ``position`` and ``spread`` [m] with the mean and standard deviation (ddof 0) of all answers."""
     members, passes = answers.shape[0], answers.shape[1]
     for k in range(OUTPUTS):
+        # In float64, and in two passes: a mean of squares minus the square of the mean would cancel.
         mean = 0.0
         for member in range(members):
             for row in range(passes):
@@ -352,9 +374,10 @@ def decide(
     positions: ArrayNx3,
     spreads: ArrayNx3,
 ) -> None:
-    """Fill positions and spreads (n, 3) [m] for hands and TCPs (n, 3) in the base frame and seeds (n,).
+    """Fill ``positions`` and ``spreads`` (n, 3) [m] for the given hands, TCPs and seeds.
 
-    For an ensemble, the function uses an answer of each member. A hand or TCP with a NaN gives NaN.
+    Hands and TCPs (n, 3) are in the base frame, and seeds have the shape (n,). Each member of an ensemble
+    gives one answer. A NaN in a hand or a TCP gives NaN.
     """
     members, places = network.weight.shape[0], network.places
     rows = network.passes if places > 0 else 1

@@ -23,12 +23,18 @@ def shipped_model(name: str) -> Path:
 
 
 def model_file(reference: str) -> Path:
-    """Return the file of the shipped network ``reference``; for another text, the file with that path."""
+    """Return the file of a network.
+
+    ``reference`` is the name of a shipped network or the path of a file.
+    """
     return shipped_model(reference) if reference in SHIPPED else Path(reference)
 
 
 def network_file_of(scenario: Scenario) -> Path | None:
-    """Return the file of a scenario's network; None if its avoider is not a network in our format."""
+    """Return the file of a scenario's network.
+
+    Return None if the avoider is not a network in the harness's own format.
+    """
     if scenario.avoider in SHIPPED:
         return shipped_model(scenario.avoider)
     if scenario.avoider.endswith(MODEL_SUFFIX):

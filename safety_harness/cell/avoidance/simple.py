@@ -1,4 +1,7 @@
-"""Define the avoiders that need no network; they answer many questions one after another."""
+"""Define the avoiders that need no network.
+
+These avoiders answer the questions of a batch one after another.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,10 @@ class _QuickAvoider:
     def propose_many(
         self: Avoider, hands_in_base_m: Vectors, tcps_in_base_m: Vectors, seeds: NDArray[np.uint64]
     ) -> tuple[Vectors, Vectors]:
-        """Return positions and spreads (n, 3) [m] for hands (n, 3), TCPs (n, 3) and ``seeds`` (n,)."""
+        """Return the positions and the spreads for n questions, both (n, 3) [m].
+
+        Hands and TCPs have the shape (n, 3), and ``seeds`` has the shape (n,).
+        """
         proposals = [
             self.propose(hand_position_in_base_m=hand, tcp_position_in_base_m=tcp, seed=int(seed))
             for hand, tcp, seed in zip(hands_in_base_m, tcps_in_base_m, seeds, strict=True)
@@ -37,7 +43,10 @@ class _QuickAvoider:
 
 @dataclass(frozen=True)
 class OppositePose(_QuickAvoider):
-    """The avoider that retreats R = ``radius_m`` from the hand: t_tcp + R (t_tcp - t_h) / |t_tcp - t_h|."""
+    """The avoider that moves the TCP away from the hand by R = ``radius_m``.
+
+    Its position is t_tcp + R (t_tcp - t_h) / |t_tcp - t_h|.
+    """
 
     radius_m: float
     name: str = "opposite pose"
@@ -45,9 +54,10 @@ class OppositePose(_QuickAvoider):
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """Return the opposite pose; raise ``AvoiderError`` if hand and TCP coincide, so that none exists.
+        """Return the opposite pose.
 
-        ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,).
+        Raise ``AvoiderError`` if hand and TCP coincide, because the direction is then undefined.
+        ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` have the shape (3,).
         """
         away = tcp_position_in_base_m - hand_position_in_base_m
         distance = length(away)
@@ -58,11 +68,12 @@ class OppositePose(_QuickAvoider):
 
 @dataclass(frozen=True, eq=False)
 class NearestCandidate(_QuickAvoider):
-    """The oracle that the networks learn from, with the answer 0.05 (t_tcp - t_h) + t_opt (eq. 13).
+    """The oracle that the networks learn from.
 
-    t_opt is the candidate with the least image error. In the desired orientation, the image-moment error of a
-    candidate equals its displacement from the desired position. So "least image error" means "nearest to the
-    desired TCP". The avoider draws the candidates by the decision's seed.
+    Its answer is t_opt + ``hand_pull`` (t_tcp - t_h), which is eq. 13. Here t_opt is the candidate with the
+    least image error. In the desired orientation, the image-moment error of a candidate equals its
+    displacement from the desired position. So "least image error" means "nearest to the desired TCP". The
+    seed of the decision determines the candidates.
     """
 
     cap: CandidateCap
@@ -72,7 +83,7 @@ class NearestCandidate(_QuickAvoider):
 
     @classmethod
     def for_cell(cls, settings: Settings) -> NearestCandidate:
-        """Return the oracle for the settings' cell."""
+        """Return the oracle for the cell that the settings describe."""
         return cls(
             CandidateCap.from_settings(settings),
             np.array(settings.cell.desired_tcp_position_in_base_m),
@@ -82,9 +93,10 @@ class NearestCandidate(_QuickAvoider):
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """Return the answer of eq. 13 with new candidates, drawn by ``seed``.
+        """Return the answer of eq. 13 with new candidates.
 
-        ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,).
+        ``seed`` determines the candidates. ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` have
+        the shape (3,).
         """
         candidates = tcp_position_in_base_m + self.cap.draw(np.random.default_rng(seed))  # (count, 3)
         errors = np.linalg.norm(candidates - self.desired_tcp_position_in_base_m, axis=1)
@@ -94,17 +106,26 @@ class NearestCandidate(_QuickAvoider):
 
 @dataclass(frozen=True, eq=False)
 class AnswersNaN:
-    """The avoider of a scenario's fault: it answers NaN in place of the avoider ``name``."""
+    """The avoider that replaces the avoider ``name`` during a fault of the scenario.
+
+    Its answer is NaN.
+    """
 
     name: str
 
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """Return NaN; ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,)."""
+        """Return a proposal of NaN.
+
+        ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` have the shape (3,).
+        """
         return Proposal(np.full(3, np.nan))
 
 
 def faulty(faults: NDArray[np.void], avoider: Avoider, time_s: float) -> Avoider:
-    """Return ``avoider``, or its replacement by a fault that acts at ``time_s``; ``faults`` (n,) FAULT."""
+    """Return ``avoider``, or an avoider that answers NaN if such a fault acts at ``time_s``.
+
+    ``faults`` (n,) contains records FAULT.
+    """
     return AnswersNaN(avoider.name) if acting(faults, NAN, time_s) else avoider

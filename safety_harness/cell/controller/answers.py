@@ -1,7 +1,7 @@
-"""Collect the answers of users' controllers, of one episode or of many episodes in parallel lanes.
+"""Collect the answers of users' controllers, for one episode or for many episodes in parallel lanes.
 
-A lane is the row of an episode in arrays for all episodes. The process of a user's file uses this module too,
-so it imports nothing that waits for a compiler.
+A lane is one episode's row in arrays that contain all episodes. The process of a user's file uses this module
+too, so it imports only modules that need no compiler.
 """
 
 from __future__ import annotations
@@ -19,15 +19,17 @@ from safety_harness.seams.rows import SeenLayout, seen_dtype
 from safety_harness.trace.records import Mode
 
 Floats = NDArray[np.float64]
-NOT_REPORTED = -1
+NOT_REPORTED = -1  # no value of Mode, all of which are at least 0
 
 
 class LaneAnswers:
-    """The actions of n controllers until the next tick, in arrays for ``obey``.
+    """The actions of n controllers until the next tick.
 
-    Where ``stop`` (n,) is True, the action is a stop. Where ``by_joints`` (n,) is True, it is joint
-    velocities in ``joints`` (n, j). Otherwise it is a twist of the TCP in ``twists`` (n, 6). ``modes`` (n,)
-    are the reported modes, or NOT_REPORTED.
+    The actions are stored in arrays, which are arguments of the function ``obey``.
+
+    If ``stop`` (n,) is True, the action is a stop. If ``by_joints`` (n,) is True, the action consists of the
+    joint velocities in ``joints`` (n, j). Otherwise the action is the twist of the TCP in ``twists`` (n, 6).
+    ``modes`` (n,) contains the modes that the controllers report, or NOT_REPORTED.
     """
 
     def __init__(self, lanes: int, joints: int, reports: tuple[str, ...]) -> None:
@@ -42,7 +44,10 @@ class LaneAnswers:
         return self.twists, self.joints, self.by_joints, self.stop, self.modes
 
     def take(self, lane: int, action: object) -> Action:
-        """Store the ``action`` of ``lane`` and return it; raise ``ControllerError`` if it is invalid."""
+        """Store the ``action`` of the lane ``lane``, and return the action.
+
+        Raise ``ControllerError`` if the action is invalid.
+        """
         if self._tells:
             reported = getattr(action, "report", None)
             if not isinstance(reported, Report) or not isinstance(reported.mode, Mode):
@@ -69,7 +74,10 @@ class LaneAnswers:
         return action
 
     def take_many(self, lanes: Sequence[int], moves: object) -> None:
-        """Store the result ``moves`` of ``act_many`` for all ``lanes``, with the checks of ``take``."""
+        """Store the result ``moves`` of ``act_many`` for all ``lanes``.
+
+        The method makes the same checks as ``take``.
+        """
         if not isinstance(moves, Moves):
             raise ControllerError(f"act_many returned no Moves: {printable(repr(moves))}")
         n, own, width_of_joints = len(lanes), np.array(lanes), self.joints.shape[1]
@@ -100,7 +108,10 @@ class LaneAnswers:
             self.joints[own] = joints
 
     def take_sent(self, lanes: Sequence[int], sent: Sequence[bytes]) -> None:
-        """Store the actions of ``lanes`` from another process; raise ``ValueError`` for invalid bytes."""
+        """Store the actions of ``lanes`` from another process.
+
+        Raise ``ValueError`` if the bytes are invalid.
+        """
         if len(sent) != len(self.columns):
             raise ValueError(f"{len(sent)} columns in place of {len(self.columns)}")
         own = np.array(lanes)
@@ -113,9 +124,10 @@ class LaneAnswers:
 
 
 def numbers(name: str, value: object, shape: tuple[int, ...], call: str = "act") -> NDArray[Any]:
-    """Return ``value`` as an array of real numbers of ``shape``; raise ``ControllerError`` otherwise.
+    """Return ``value`` as an array of real numbers with the shape ``shape``.
 
-    The error states the method ``call`` that returned the value, and the value's ``name``.
+    Raise ``ControllerError`` if this is impossible. The error states the value's name ``name`` and the method
+    ``call`` that returned the value.
     """
     try:
         given = np.asarray(value)
@@ -128,12 +140,18 @@ def numbers(name: str, value: object, shape: tuple[int, ...], call: str = "act")
 
 
 def _are_modes(modes: NDArray[Any]) -> bool:
-    """Return whether ``modes`` are valid values of ``Mode``, whose values count from zero."""
+    """Return whether ``modes`` are valid values of ``Mode``.
+
+    These values are consecutive integers from zero.
+    """
     return modes.dtype.kind in "iu" and bool((modes >= 0).all() and (modes < len(Mode)).all())
 
 
 def _flags(name: str, value: object, count: int) -> NDArray[np.bool_]:
-    """Return ``value`` as booleans (count,), all False for None; raise ``ControllerError`` otherwise."""
+    """Return ``value`` as booleans (count,), or False for each if ``value`` is None.
+
+    Raise ``ControllerError`` if ``value`` has another type or shape.
+    """
     if value is None:
         return np.zeros(count, np.bool_)
     given = np.asarray(value)
@@ -157,18 +175,18 @@ def ask_together(
     answers: LaneAnswers,
     file: str | None = None,
 ) -> dict[int, str]:
-    """Call the controllers of ``lanes`` (n,); return, for each lane that cannot go on, the reason.
+    """Call the controllers, and return the reason of failure for each lane that cannot continue.
 
-    An exception in ``act_many``, or a wrong result of it, raises an error for all lanes.
+    If ``act_many`` raises an exception or returns a wrong result, the error applies to all lanes.
 
     Args:
         controllers: The controllers (n,).
-        lanes: The rows of these controllers in ``answers``.
-        rows: The views (n, wanted) of these controllers, read-only.
+        lanes: The rows in ``answers`` that belong to these controllers.
+        rows: The views of these controllers (n, wanted), read-only.
         period_s: The control period.
         layout: The layout of a row.
         answers: The answers to fill.
-        file: The user's file, for errors.
+        file: The user's file, for the text of errors.
 
     """
     kind: Any = type(controllers[0])
@@ -187,13 +205,13 @@ def ask_together(
 
 
 def in_act(error: ControllerError) -> str:
-    """Return an error's text, which begins with the name of the method ``act``."""
+    """Return the text of an error, so that it begins with the name of the method ``act``."""
     text = str(error)
     return text if text.startswith("act") else f"act raised: {text}"
 
 
 def columns_of(rows: Floats, period_s: float, layout: SeenLayout) -> Arrays:
-    """Return the quantities in ``rows`` (n, wanted) by name, as ``act_many`` gets them."""
+    """Return the quantities in ``rows`` (n, wanted) by name, in the form that ``act_many`` receives."""
     dtype = seen_dtype(layout.hand_slots, layout.joints)
     whole = np.zeros((len(rows), dtype.itemsize // 8))
     whole[:, : rows.shape[1]] = rows
@@ -202,5 +220,5 @@ def columns_of(rows: Floats, period_s: float, layout: SeenLayout) -> Arrays:
 
 
 def lanes_of(live: Iterable[bool]) -> list[int]:
-    """Return the numbers of the lanes that are still ``live``."""
+    """Return the numbers of the lanes whose entry in ``live`` is True."""
     return [lane for lane, goes in enumerate(live) if goes]

@@ -1,4 +1,4 @@
-"""Define the base class of controllers that wrap another controller and change one thing in it."""
+"""Define the base class of controllers that wrap another controller."""
 
 from __future__ import annotations
 
@@ -9,18 +9,27 @@ from safety_harness.cell.controller.controller import AvoidingServo
 
 
 class ControllerWrapper:
-    """A controller that passes every call to its ``pilot``; a subclass overrides some of the methods."""
+    """A controller that passes every call to its ``pilot``.
+
+    A subclass overrides some of the methods.
+    """
 
     def __init__(self, pilot: AvoidingServo) -> None:
         self.pilot = pilot
         self.name = pilot.name
 
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
-        """Return the pilot's command for ``observation`` (1,) OBSERVATION."""
+        """Return the pilot's command.
+
+        ``observation`` (1,) is a record OBSERVATION.
+        """
         return self.pilot.step(observation)
 
     def report(self, tick: NDArray[np.void]) -> None:
-        """Let the pilot write into ``tick`` (1,) TICK."""
+        """Let the pilot write into the record of a tick.
+
+        ``tick`` (1,) is a record TICK.
+        """
         self.pilot.report(tick)
 
     @property
@@ -30,7 +39,7 @@ class ControllerWrapper:
 
     @property
     def predicted(self) -> NDArray[np.void]:
-        """The pilot's predicted sets."""
+        """The pilot's predicted sets of hands."""
         return self.pilot.predicted
 
     @property
@@ -40,5 +49,5 @@ class ControllerWrapper:
 
     @property
     def decision_latencies_s(self) -> NDArray[np.float64]:
-        """The pilot's latencies [s]."""
+        """The latencies [s] of the pilot's decisions."""
         return self.pilot.decision_latencies_s

@@ -1,7 +1,7 @@
 """Turn a controller's view into arrays, for environments (observations) and ONNX policies (inputs).
 
-The row of an absent hand is zero, and an unknown number is zero too; a flag beside each states its absence.
-This module imports nothing that waits for a compiler.
+Absent hands and unknown numbers have the value zero. An additional flag states whether the hand or the number
+is present. This module imports only modules that need no compiler.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ Arrays = dict[str, NDArray[np.generic]]  # by name, of n rows each
 
 
 def observed(seen: SeenRows, sees: Iterable[str]) -> Arrays:
-    """Return the arrays for the words ``sees``, with n rows each, from ``seen`` (n,) SEEN.
+    """Return the arrays of the quantities ``sees``, each with n rows.
 
-    The arrays have the names and frames of the contract's ``Seen``.
+    ``seen`` (n,) contains records SEEN. The arrays have the same names and frames as in the contract's
+    ``Seen``.
     """
     arrays: Arrays = {}
     for sight in sees:
@@ -29,19 +30,19 @@ def observed(seen: SeenRows, sees: Iterable[str]) -> Arrays:
 
 
 def _joints(seen: SeenRows) -> Arrays:
-    """Return the joints and the TCP."""
+    """Return the positions and velocities of the joints, and the pose of the TCP."""
     names = ("joint_position_rad", "joint_velocity_radps", "transform_tcp_to_base", "tcp_position_in_base_m")
     return {name: seen[name].copy() for name in names}
 
 
 def _hands(seen: SeenRows) -> Arrays:
-    """Return the measured hands, each with a flag that states whether it is present."""
+    """Return the measured hands, and flags that state which hands are present."""
     there = _first(seen["hand_count"], seen["hands"])
     return {"hands": _where(there, seen["hands"]), "hands_there": there}
 
 
 def _boxes(seen: SeenRows) -> Arrays:
-    """Return the boxes of hands, each with a flag that states whether it is present."""
+    """Return the boxes of hands, and flags that state which boxes are present."""
     there = _first(seen["box_count"], seen["boxes"])
     return {
         "hand_boxes": _where(there, seen["boxes"]),
@@ -53,7 +54,7 @@ def _boxes(seen: SeenRows) -> Arrays:
 
 
 def _object(seen: SeenRows) -> Arrays:
-    """Return the features of the object, with a flag that states whether it is visible."""
+    """Return the features of the object, and a flag that states whether the object is visible."""
     visible = _flag(seen["object_visible"])
     return {
         "object_visible": visible,
@@ -64,7 +65,7 @@ def _object(seen: SeenRows) -> Arrays:
 
 
 def _predicted(seen: SeenRows) -> Arrays:
-    """Return the predicted hands, each with a flag that states whether it is present."""
+    """Return the predicted hands, and flags that state which hands are present."""
     there = (seen["tracked"] != 0).astype(np.int8)
     return {
         "predicted_hands": _where(there, seen["predicted"]),
@@ -91,11 +92,17 @@ def _flag(true: NDArray[np.int64]) -> NDArray[np.int8]:  # (n,)
 
 
 def _first(count: NDArray[np.int64], rows: NDArray[np.float64]) -> NDArray[np.int8]:
-    """Return flags (n, k): whether each of the k ``rows`` (n, k, ...) is among the first ``count`` (n,)."""
+    """Return flags (n, k) that are 1 for the first ``count`` rows and 0 for the rest.
+
+    ``rows`` has the shape (n, k, ...), and ``count`` (n,) is a number of rows.
+    """
     return (np.arange(rows.shape[1]) < count[:, None]).astype(np.int8)
 
 
 def _where(there: NDArray[np.int8], rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return ``rows`` (n, ...) with zeros where the flags ``there``, (n,) or (n, k), are zero."""
+    """Return ``rows`` (n, ...), with zeros where a flag in ``there`` is zero.
+
+    ``there`` has the shape (n,) or (n, k).
+    """
     kept: NDArray[np.bool_] = (there != 0).reshape(there.shape + (1,) * (rows.ndim - there.ndim))
     return np.where(kept, rows, 0.0)

@@ -59,28 +59,36 @@ class Controller(Protocol):
         """The controller's name in traces and reports."""
 
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
-        """Return the COMMAND (1,) for ``observation`` (1,) OBSERVATION; the next call may reuse the array."""
+        """Return a record COMMAND (1,) for the record OBSERVATION (1,).
+
+        The next call may reuse the returned array.
+        """
 
     def report(self, tick: NDArray[np.void]) -> None:
-        """Write the controller's perception and decision into the trace's record ``tick`` (1,) TICK."""
+        """Write the controller's perception and decision into the trace.
+
+        ``tick`` (1,) is a record TICK of the trace.
+        """
 
     @property
     def decisions(self) -> NDArray[np.void]:
-        """Every decision so far, (m,) DECISION."""
+        """All decisions so far, as records DECISION of the shape (m,)."""
 
     @property
     def decision_latencies_s(self) -> NDArray[np.float64]:
-        """The time that each decision took on the wall's clock [s], (m,)."""
+        """The wall-clock time [s] that each decision took, shape (m,)."""
 
 
 class AvoidingServo:
-    """The paper's controller: ``avoider`` proposes, ``gate`` decides, the compiled stack moves the arm.
+    """The paper's controller: ``avoider`` proposes, ``gate`` decides, and the compiled stack moves the arm.
 
-    ``decision_times_s`` (n,) [s] is the cost in simulated time of a question at each tick, from the function
-    of that name. ``faults`` (n,) FAULT may delay an answer further. Until the answer counts, or until the
-    decision deadline, the controller goes on as before. ``recorded_late`` (m,) has a text for each decision
-    of an old trace: the fault's text if it was late by the wall's clock. ``hand_slots`` is the scenario's
-    number of hands, and ``guard`` its shield in this run. ``predictor`` replaces the Kalman filter.
+    ``decision_times_s`` (n,) contains the simulated time [s] that a question at each tick costs. The array
+    comes from the function ``decision_times_s``. The ``faults`` (n,), which are records FAULT, may delay an
+    answer further. Until the answer takes effect or the decision deadline passes, the controller continues as
+    before. ``recorded_late`` (m,) contains a text for each decision of an old trace. The text is empty unless
+    the answer exceeded a limit of wall-clock time. ``hand_slots`` is the scenario's number of hands.
+    ``guard`` contains the records of the scenario's shield in this run. A ``predictor`` replaces the Kalman
+    filter.
     """
 
     def __init__(
@@ -128,7 +136,10 @@ class AvoidingServo:
         self._latencies_s: list[float] = []
 
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
-        """Return the COMMAND (1,) for ``observation`` (1,) OBSERVATION, with a decision if necessary."""
+        """Return a record COMMAND (1,) for ``observation`` (1,), which is a record OBSERVATION.
+
+        The method makes a decision if one is necessary.
+        """
         r, o = self.records, ObservationRecords(observation)
         if self.predictor is not None:
             self.predictor.predict(o, r.state, r.tracks)
@@ -146,12 +157,15 @@ class AvoidingServo:
         return r.command
 
     def report(self, tick: NDArray[np.void]) -> None:
-        """Copy the stack's state into the trace's record of this tick, ``tick`` (1,) TICK."""
+        """Copy the stack's state into the trace.
+
+        ``tick`` (1,) is the trace's record TICK for this tick.
+        """
         report(*self.records[5:8], as_compiled(tick))
 
     @property
     def decisions(self) -> NDArray[np.void]:
-        """Every decision so far, (m,) DECISION."""
+        """All decisions so far, as records DECISION of the shape (m,)."""
         decisions = np.zeros(len(self._decisions), self._decision)
         for k, decision in enumerate(self._decisions):
             decisions[k] = decision[0]
@@ -159,32 +173,47 @@ class AvoidingServo:
 
     @property
     def decision_latencies_s(self) -> NDArray[np.float64]:
-        """The wall-clock time [s] from each question to the answer, or to the end of waiting, (m,)."""
+        """The wall-clock time [s] that the controller waited for each answer, shape (m,)."""
         return np.array(self._latencies_s, dtype=np.float64)
 
     @property
     def predicted(self) -> NDArray[np.void]:
-        """The sets of the scenario's predictor in each tick of the run, (n,) PREDICTED; empty without one."""
+        """The predictor's sets in each tick of the run, as records PREDICTED of the shape (n,).
+
+        The array is empty without a predictor.
+        """
         return not_predicted() if self.predictor is None else self.predictor.predicted
 
     @property
     def interventions(self) -> NDArray[np.void]:
-        """The shield's action in each tick of the run, (n,) INTERVENTION; empty without a shield."""
+        """The shield's action in each tick of the run, as records INTERVENTION of the shape (n,).
+
+        The array is empty without a shield.
+        """
         return self.records.interventions
 
     def _ask_now(self, observation: NDArray[np.void]) -> None:
-        """Ask, measure the wall-clock time, and let the answer count after as much simulated time."""
+        """Ask the avoider, and measure the wall-clock time of the answer.
+
+        The simulated time until the answer takes effect equals the wall-clock time of the answer.
+        """
         records, held = self.records, answer_to(self.answerer(), replace(self.query(observation), late=""))
         answer_after(records.parameters, records.question, records.faults, held.latency_s)
         late = Answer(fault=self._late, late=True, latency_s=held.latency_s)
         self._held = late if records.question[0]["late"] else held
 
     def answerer(self) -> Avoider:
-        """Return the avoider that answers the open question, or its replacement by a fault."""
+        """Return the avoider that answers the open question.
+
+        If a fault replaces the scenario's avoider, the result is the replacement.
+        """
         return faulty(self.records.faults, self.avoider, float(self.records.question[0]["asked_s"]))
 
     def query(self, observation: NDArray[np.void]) -> Query:
-        """Return the gate's query for a decision that counts now; ``observation`` (1,) OBSERVATION."""
+        """Return the gate's query for a decision that is due now.
+
+        ``observation`` (1,) is a record OBSERVATION.
+        """
         state, question = self.records.state[0], self.records.question[0]
         number, nearest = len(self._decisions), state["nearest_track"]
         asked_hand, asked_tcp = question["hand_position_in_base_m"], question["tcp_position_in_base_m"]
@@ -205,7 +234,10 @@ class AvoidingServo:
         )
 
     def _half_widths_m(self, observation: NDArray[np.void]) -> NDArray[np.float64] | None:
-        """Return the half widths (k, 3) of each predicted hand's box, if the gate's rule needs them."""
+        """Return the half widths of each predicted hand's box, shape (k, 3).
+
+        Return None if the gate's rule does not need them.
+        """
         rule, r = self.gate.more, self.records
         if rule is None or not rule.of_possible_hands:
             return None
@@ -217,12 +249,15 @@ class AvoidingServo:
 
     @property
     def _recorded_words(self) -> str:
-        """The recorded fault's text of the pending decision if that was late; otherwise an empty text."""
+        """The recorded text of the fault if the pending decision was late, or an empty text."""
         number = len(self._decisions)
         return self._recorded_late[number] if number < len(self._recorded_late) else ""
 
     def decide(self, query: Query, ruling: GateDecision) -> None:
-        """Store the gate's ``ruling`` on ``query`` as the stack's answer and as a decision of the run."""
+        """Store the gate's decision ``ruling`` about ``query``.
+
+        The decision becomes the stack's answer, and is added to the decisions of the run.
+        """
         answer = self.records.answer
         answer["stop"] = ruling.outcome is DecisionOutcome.STOP
         answer["position_in_base_m"] = ruling.chosen_position_in_base_m
@@ -230,7 +265,7 @@ class AvoidingServo:
         self._decisions.append(self._record(query, ruling))
 
     def _record(self, query: Query, ruling: GateDecision) -> NDArray[np.void]:
-        """Return the record DECISION (1,) of the gate's ``ruling`` on ``query``."""
+        """Return a record DECISION (1,) with the data of ``query`` and of the gate's decision ``ruling``."""
         record = np.zeros(1, self._decision)
         for name in ("tick", "time_s", "asked_tick", "decision_time_s"):
             record[name] = self.records.question[name]

@@ -1,7 +1,7 @@
-"""Compute one tick of ``AvoidingServo``: everything between observation and command but the decision.
+"""Compute one tick of ``AvoidingServo``, from the observation to the command, except for the decision.
 
-``watch`` returns whether a decision counts now. If so, the caller decides and fills the answer. Then ``act``
-commands the arm. A single episode and many episodes use the same functions.
+``watch`` returns whether a decision is due now. If a decision is due, the caller decides and fills the
+answer. Then ``act`` commands the arm. A single episode and many episodes use the same functions.
 """
 
 from __future__ import annotations
@@ -62,8 +62,9 @@ QUESTION = np.dtype(
 class ControllerRecords(NamedTuple):
     """The complete state of an episode's controller.
 
-    This order lets each function take consecutive records as its arguments. ``watch`` takes the first seven,
-    ``act`` takes all from ``parameters`` on, ``report`` takes ``state`` to ``command``.
+    The order of the records lets each function take consecutive records as its arguments. ``watch`` takes the
+    first seven records. ``act`` takes all records from ``parameters`` on. ``report`` takes the records from
+    ``state`` to ``command``.
     """
 
     filter_parameters: FilterRecords  # (1,) FILTER_PARAMETERS
@@ -91,9 +92,10 @@ def watch(
     questions: QuestionRecords,
     observations: ObservationRecords,
 ) -> bool:
-    """Read an observation (1,) OBSERVATION; return True if the answer to the open question counts now.
+    """Read an observation, and return True if the answer to the open question takes effect now.
 
-    Until then the controller goes on as before. After a protective stop, it discards an open question.
+    Until then the controller continues as before. After a protective stop, the controller discards an open
+    question.
     """
     s, q = states[0], questions[0]
     needs_decision = begin_tick(parameters, filter_parameters, states, tracks, observations)
@@ -105,10 +107,12 @@ def watch(
     if not q.open:
         return False
     q.acted_faults = q.faults
+    # The servo goes on while the avoider computes, so no decision is pending in this tick.
     if q.tick < q.counts_from:
         s.decision_pending = False
         return False
     q.open = False
+    # The arm has stopped meanwhile, and an answer to the old situation must not end the stop.
     if s.mode == PROTECTIVE_STOP:
         s.decision_pending = False
         return False
@@ -127,7 +131,10 @@ def ask(
     decision_times_s: NDArray[np.float64],  # (n,)
     observations: ObservationRecords,
 ) -> None:
-    """Open a question at this tick, whose answer counts after the question's decision time."""
+    """Open a question at this tick.
+
+    Its answer takes effect after the question's decision time.
+    """
     s, q, time_s = states[0], questions[0], observations[0].time_s
     q.open = True
     q.asked_tick = q.tick
@@ -144,15 +151,16 @@ def ask(
 def answer_after(
     parameters: ParameterRecords, questions: QuestionRecords, faults: FaultRecords, decision_time_s: float
 ) -> None:
-    """Set the tick from which the answer to the open question counts, with any delay by a fault.
+    """Set the tick from which the answer to the open question takes effect.
 
-    An answer takes ``decision_time_s`` [s] plus the delay, or at most the deadline. It counts from the first
-    tick at or after this time; an exact multiple of the period is exactly that tick. If the answer is later
-    than the deadline, the controller gives up at the deadline, and the answer does not count. NaN stands for
-    a time that is not yet known.
+    A fault may delay the answer. An answer takes ``decision_time_s`` [s] plus the delay, but the controller
+    waits at most until the deadline. The answer takes effect at the first tick at or after this time. If the
+    answer is later than the deadline, the controller gives up at the deadline and ignores the answer. A
+    ``decision_time_s`` of NaN stands for a time that is not yet known.
     """
     p, q = parameters[0], questions[0]
     late_s = decision_time_s + delay_s(faults, LATE, q.asked_s)
+    # An answer that never comes is late at the deadline, like any other late answer.
     if np.isnan(late_s) or acting(faults, SILENT, q.asked_s):
         late_s = np.inf
     # 1e-9 makes seven periods seven ticks, although 0.07 / 0.01 is above 7 in float64.
@@ -160,6 +168,7 @@ def answer_after(
     q.decision_time_s = decision_time_s
     q.delayed = waits > 0
     q.counts_from = q.asked_tick + waits
+    # TIME_EPS_S, because an answer exactly at the deadline counts.
     q.late = late_s > p.decision_deadline_s + TIME_EPS_S
 
 
@@ -175,7 +184,10 @@ def act(
     capsules: CapsuleRecords,
     observations: ObservationRecords,
 ) -> None:
-    """Act on the answer, if any, and command the arm; then let the shield change the command."""
+    """Act on the answer if there is one, and command the arm.
+
+    The shield may then change the command.
+    """
     q = questions[0]
     finish_tick(parameters, states, observations, answers, commands)
     if shields.shape[0] > 0:
@@ -188,7 +200,10 @@ def act(
 def report(
     states: StateRecords, questions: QuestionRecords, commands: CommandRecords, ticks: Records
 ) -> None:
-    """Write perception and decision into the trace's record of this tick, (1,) ``as_compiled``."""
+    """Write perception and decision into the trace's record of this tick.
+
+    ``ticks`` is the record (1,) from ``as_compiled``.
+    """
     s, q, command, tick = states[0], questions[0], commands[0], ticks[0]
     tick.object_visible = s.object_visible
     tick.sse = s.sse

@@ -1,4 +1,4 @@
-"""Compute the table of a run's decision costs in simulated time, tick by tick, for the compiled loop."""
+"""Compute a table for the compiled loop: the simulated time that a decision costs at each tick."""
 
 from __future__ import annotations
 
@@ -10,19 +10,20 @@ from safety_harness.base.settings import DecisionCost, DecisionTimes
 from safety_harness.trace.records import Check
 from safety_harness.trace.trace import Trace
 
-NOTHING = np.zeros(1)
-ON_THE_CLOCK = np.full(1, np.nan)
+NOTHING = np.zeros(1)  # a decision costs no simulated time
+ON_THE_CLOCK = np.full(1, np.nan)  # ``answer_after`` reads NaN as a cost that is not yet known
 
 
 def decision_times_s(
     cost: DecisionCost | DecisionTimes, declared_s: float, root_seed: int, ticks: int
 ) -> NDArray[np.float64]:
-    """Return the cost [s] of a question at each tick, (n,); the last number is for all later ticks.
+    """Return the simulated time [s] that a question costs at each tick, shape (n,).
 
-    A ``cost`` of quantiles q_0 ... q_m, evenly spaced in probability, means a distribution that is linear
-    between them. The function draws from it by the inverse of the distribution function. A draw is q_k + (x -
-    k) (q_(k+1) - q_k) with x = m u, u uniform in [0, 1), and k the integer part of x. NaN means that the
-    wall's clock determines the cost. ``declared_s`` is the avoider's declaration.
+    The last number applies to all later ticks. If ``cost`` has quantiles q_0 ... q_m, they are evenly spaced
+    in probability, and the distribution is linear between them. The function draws by the inverse of the
+    distribution function. A draw is q_k + (x - k) (q_(k+1) - q_k). Here x = m u, u is uniform in [0, 1), and
+    k is the integer part of x. NaN means that the cost is the wall-clock time of the answer. ``declared_s``
+    is the time that the avoider declares.
     """
     if cost is DecisionCost.WALL_CLOCK:
         return ON_THE_CLOCK
@@ -39,9 +40,10 @@ def decision_times_s(
 
 
 def recorded_times_s(recorded: Trace) -> NDArray[np.float64]:
-    """Return the table of ``decision_times_s`` from a recorded run whose costs the wall's clock determined.
+    """Return the table of ``decision_times_s`` from a recorded run.
 
-    A question without a decision has the cost infinity, because the arm stopped before the answer.
+    In this run, the costs were wall-clock times. A question without a decision has an infinite cost, because
+    the arm stopped before the answer.
     """
     times_s = np.full(recorded.scenario.ticks + 1, np.inf)
     times_s[recorded.decisions["asked_tick"]] = recorded.decisions["decision_time_s"]
@@ -49,9 +51,9 @@ def recorded_times_s(recorded: Trace) -> NDArray[np.float64]:
 
 
 def recorded_late(recorded: Trace) -> list[str]:
-    """Return a text for each decision: the fault's text if the decision was late by the wall's clock.
+    """Return the text of the fault for each decision whose answer exceeded a limit of wall-clock time.
 
-    Late decisions of this kind had no cost in simulated time, and only old traces have any. The text of any
+    Such a decision had no cost in simulated time. Only old traces contain such decisions. The text of any
     other decision is empty.
     """
     return [

@@ -19,18 +19,21 @@ LOOKING_DOWN = np.diag([1.0, -1.0, -1.0])  # tcp axes in base: x forward, y righ
 
 
 def desired_transform_tcp_to_base(settings: Settings) -> NDArray[np.float64]:
-    """Return the desired TCP pose (4, 4): straight above the object, with the z axis straight down."""
+    """Return the desired TCP pose (4, 4).
+
+    The TCP is straight above the object, and its z axis points straight down.
+    """
     return transform_from(LOOKING_DOWN, np.array(settings.cell.desired_tcp_position_in_base_m))
 
 
 def reachable(
     positions_in_base_m: ArrayNx3, settings: Settings, robot: AnyRobot = Robot.UR10
 ) -> NDArray[np.bool_]:
-    """Return whether the arm can take each position in the desired orientation, (n,).
+    """Return whether the arm can reach each position in the desired orientation, shape (n,).
 
-    ``positions_in_base_m`` (n, 3). Only joint positions within the limits of ``robot`` count. The function
-    checks the position alone; the gate also checks the straight path to it. ``settings`` define the
-    orientation.
+    ``positions_in_base_m`` (n, 3). The function considers only joint positions within the limits of
+    ``robot``. The function checks only the position, whereas the gate also checks the straight path to it.
+    The orientation comes from ``settings``.
     """
     poses = np.repeat(desired_transform_tcp_to_base(settings)[None], len(positions_in_base_m), axis=0)
     poses[:, :3, 3] = positions_in_base_m
@@ -41,7 +44,10 @@ def reachable(
 
 
 def desired_camera(settings: Settings) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return transforms (4, 4) at the desired pose: from the true camera to base, and object to camera."""
+    """Return two transforms (4, 4) at the desired pose.
+
+    The first is from the true camera to the base, and the second is from the object to the camera.
+    """
     turn = rotation_from_vector(np.array([0.0, 0.0, settings.object.yaw_rad]))
     object_to_base = transform_from(turn, np.array(settings.object.position_in_base_m))
     camera_to_base = product(
@@ -51,6 +57,6 @@ def desired_camera(settings: Settings) -> tuple[NDArray[np.float64], NDArray[np.
 
 
 def view_of(settings: Settings) -> DesiredView:
-    """Return the true camera's view of the object from the desired pose, as a real image shows it."""
+    """Return the true camera's view of the object from the desired pose."""
     object_to_camera = desired_camera(settings)[1]
     return desired_view(np.array(settings.object.polygon_m), object_to_camera, settings.servo.object_kind)

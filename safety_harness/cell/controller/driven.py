@@ -1,8 +1,8 @@
 """Run a user's controller: turn each observation into its view, and its actions into commands.
 
-The user's controller does its own perception, except for the quantities that it asks to see. Limits, drives
-and brakes are the same as for any other controller. The trace leaves out everything that the user's
-controller does not report.
+The user's controller does its own perception, except for the quantities that its ``sees`` requests. Limits,
+drives and brakes are the same as for any other controller. The trace contains only the quantities that the
+user's controller reports.
 """
 
 from __future__ import annotations
@@ -79,12 +79,13 @@ _OF_DOUBT = ("proposed_spread_m", "spread_threshold_m")
 
 
 class DrivenController:
-    """An episode of a user's controller, in which the harness calls it tick by tick.
+    """One episode of a user's controller.
 
-    Raise ``ControllerError`` if the controller raises an exception or returns an invalid action.
-    ``joint_position_rad`` (n,) is the arm's start. ``view``, the desired view, is necessary only if the
-    controller sees the object. ``guard`` is the scenario's shield in this run. ``answer_times_s`` (n,) [s] is
-    the cost in simulated time of an answer to the view of each tick, from the function ``decision_times_s``.
+    The harness calls the controller at each tick. An exception or an invalid action of the controller raises
+    ``ControllerError``. ``joint_position_rad`` (n,) is the arm's position at the start. The desired ``view``
+    is necessary only if the controller sees the object. ``guard`` contains the records of the scenario's
+    shield in this run. ``answer_times_s`` (n,) contains the simulated time [s] that an answer to the view of
+    each tick costs. The array comes from the function ``decision_times_s``.
     """
 
     def __init__(
@@ -128,16 +129,22 @@ class DrivenController:
             raise self.failed(f"reset raised: {described(error)}") from error
 
     def lie_in(self, records: DrivenRecords, question: QuestionRecords) -> None:
-        """Keep the controller's state in ``records`` and ``question`` (1,) QUESTION from now on."""
+        """Use the given records for the controller's state from now on.
+
+        ``question`` (1,) is a record QUESTION.
+        """
         self.records, self.question = records, question
         self._floats = records.seen.view(np.float64)[: self.layout.wanted]
 
     def sees_images_of(self, image: Callable[[], Any]) -> None:
-        """Show the controller the present ``image()`` at each tick, if its ``sees`` includes "image"."""
+        """Let the controller see the current ``image()`` at each tick, if its ``sees`` includes "image"."""
         self._image = image
 
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
-        """Call the controller; return the COMMAND (1,) for ``observation`` (1,) OBSERVATION."""
+        """Call the controller and return its COMMAND (1,).
+
+        ``observation`` (1,) is a record OBSERVATION.
+        """
         self.perceive(observation)
         self.ask()
         by_joints = bool(self.answers.by_joints[0])
@@ -145,7 +152,11 @@ class DrivenController:
         return self.carry_out(wanted, by_joints, bool(self.answers.stop[0]), observation)
 
     def perceive(self, observation: NDArray[np.void]) -> SeenRecords:
-        """Return the view SEEN (1,) of ``observation`` (1,) OBSERVATION: the first half of ``step``."""
+        """Return the view SEEN (1,) of an observation.
+
+        The method ``step`` calls this method first, and then asks the controller. ``observation`` (1,) is a
+        record OBSERVATION.
+        """
         o = ObservationRecords(observation)
         r = self.records
         self._see(r.parameters, r.filter_parameters, r.state, r.tracks, o, r.seen, *self.wants)
@@ -154,13 +165,15 @@ class DrivenController:
     def carry_out(
         self, wanted: Floats, by_joints: bool, stop: bool, observation: NDArray[np.void]
     ) -> NDArray[np.void]:
-        """Return the COMMAND (1,) that ``obey`` makes of an action: the second half of ``step``.
+        """Return the COMMAND (1,) that ``obey`` computes from an action.
+
+        The method ``step`` calls this method after the controller has answered.
 
         Args:
-            wanted: The velocities (6,) of the TCP or (n,) of the joints.
-            by_joints: Whether ``wanted`` are joint velocities.
-            stop: Whether the action is a stop.
-            observation: The OBSERVATION (1,) of the action.
+            wanted: The velocities of the TCP (6,) or of the joints (n,).
+            by_joints: True if ``wanted`` contains joint velocities.
+            stop: True if the action is a stop.
+            observation: The record OBSERVATION (1,) to which the action belongs.
 
         Raises:
             ControllerError: A velocity is not finite.
@@ -174,24 +187,33 @@ class DrivenController:
         return r.command
 
     def shielded(self, observation: ObservationRecords, tick: int) -> None:
-        """Let the shield, if any, change the command of ``tick``; ``observation`` (1,) OBSERVATION."""
+        """Let the shield change the command of ``tick``, if there is a shield.
+
+        ``observation`` (1,) is a record OBSERVATION.
+        """
         if len(self.guard.shield):
             r = self.records
             keep_apart(r.parameters, r.state, *self.guard, observation, r.command, tick)
 
     def report(self, tick: NDArray[np.void]) -> None:
-        """Write the controller's view and reports into the trace's record ``tick`` (1,) TICK."""
+        """Write the controller's view and reports into the trace.
+
+        ``tick`` (1,) is a record TICK of the trace.
+        """
         self.report_compiled(as_compiled(tick))
 
     def report_compiled(self, tick: NDArray[np.void]) -> None:
-        """Write, as ``report`` does, into the record ``tick`` (1,) ``as_compiled``."""
+        """Write the controller's view and reports into a record of a tick, as ``report`` does.
+
+        ``tick`` (1,) comes from ``as_compiled``.
+        """
         self._tell(self.records.state, self.question, self.records.command, tick)
         if self.answers.modes[0] >= 0:
             tick["mode"] = self.answers.modes[0]
 
     @property
     def decisions(self) -> NDArray[np.void]:
-        """The decisions that the controller has reported, (m,) DECISION."""
+        """All decisions that the controller has reported, as records DECISION of the shape (m,)."""
         decisions = np.zeros(len(self._decisions), self._decision)
         for k, decision in enumerate(self._decisions):
             decisions[k] = decision[0]
@@ -199,17 +221,23 @@ class DrivenController:
 
     @property
     def decision_latencies_s(self) -> Floats:
-        """The decisions' latencies (m,), all NaN since the harness did not ask for these decisions."""
+        """The latencies of the decisions, shape (m,).
+
+        All latencies are NaN, because the harness did not ask for these decisions.
+        """
         return np.full(len(self._decisions), np.nan)
 
     @property
     def interventions(self) -> NDArray[np.void]:
-        """The shield's action in each tick of the run, (n,) INTERVENTION; empty without a shield."""
+        """The shield's action in each tick of the run, as records INTERVENTION of the shape (n,).
+
+        The array is empty without a shield.
+        """
         return self.guard.interventions
 
     @property
     def known(self) -> dict[str, Measurement]:
-        """The columns of the controller's traces that it does not report."""
+        """The columns of a trace that the controller does not report, each with the value NOT_REPORTED."""
         lacking = [*_OF_SERVO]
         lacking += [] if OBJECT in self.sees else _OF_OBJECT
         lacking += [] if PREDICTED_HANDS in self.sees else _OF_TRACKS
@@ -221,10 +249,10 @@ class DrivenController:
         return dict.fromkeys([*lacking, *(OF_DECISIONS + name for name in of_decisions)], NOT_REPORTED)
 
     def ask(self) -> None:
-        """Call the controller, and store in ``answers`` its action for the time until the next tick.
+        """Call the controller, and store in ``answers`` the action that lasts until the next tick.
 
-        If answers cost simulated time, the previous action goes on until the answer counts, and the
-        controller is not called before that.
+        If answers cost simulated time, the previous action continues until the new answer takes effect. The
+        method does not call the controller before this time.
         """
         try:
             if self._computing is None:
@@ -237,7 +265,10 @@ class DrivenController:
             raise self.failed(f"act raised: {described(error)}") from error
 
     def _ask_if_idle(self, computing: _Computing) -> None:
-        """Let an answer count that is due, and call the controller if it computes nothing."""
+        """Let an answer take effect if it is due.
+
+        Then call the controller if it is not computing an answer.
+        """
         tick = int(self.question[0]["tick"])
         self.question["made_now"] = False
         if computing.is_due(tick):
@@ -249,11 +280,15 @@ class DrivenController:
                 computing.seen = self._seen_now()
             action = self._called(computing.answers, computing.seen)
             computing.began(tick, action, self.period_s)
+            # An answer that costs no time takes effect in the same tick.
             if computing.is_due(tick):
                 self._note(computing.put_into(self.answers))
 
     def _called(self, answers: LaneAnswers, seen: Seen) -> Action:
-        """Return the controller's action on the view ``seen``, which is stored in ``answers`` too."""
+        """Return the controller's action for the view ``seen``.
+
+        The method also stores the action in ``answers``.
+        """
         begun_s = time.perf_counter()
         answer = self.user.act(seen)
         took_s = time.perf_counter() - begun_s
@@ -273,11 +308,17 @@ class DrivenController:
         return seen
 
     def not_finite(self, wanted: Floats) -> ControllerError:
-        """Return the error about the velocities ``wanted``, (6,) or (n,), that are not finite."""
+        """Return the error for velocities that are not finite.
+
+        ``wanted`` has the shape (6,) or (n,).
+        """
         return self.failed(f"act returned velocities that are not finite: {wanted.tolist()}")
 
     def failed(self, why: str) -> ControllerError:
-        """Return the error with the reason ``why``, which ends the run at this tick."""
+        """Return the error that ends the run at this tick.
+
+        ``why`` is the reason of the error.
+        """
         when = f" at {float(self.records.seen[0]['time_s']):.3f} s"
         return ControllerError(f"the controller {self.name!r}: {why}{when}")
 
@@ -310,11 +351,12 @@ class DrivenController:
 
 
 class _Computing:
-    """The answer of a controller whose answers cost simulated time, until it counts.
+    """A controller's answer that costs simulated time and has not yet taken effect.
 
-    ``times_s`` (n,) [s] is the cost at each tick. Of a ``user`` whose answer lasts for several calls of
-    ``act``, as its ``acts_per_answer`` says, only the first of these calls costs time. The others get the
-    same view ``seen``, because the answer was computed from it.
+    ``times_s`` (n,) contains the cost [s] of an answer that begins at each tick. If an answer of ``user``
+    lasts for several calls of ``act``, only the first of these calls costs time. The user's
+    ``acts_per_answer`` is the number of calls. The later calls get the same view ``seen``, because the answer
+    was computed from this view.
     """
 
     def __init__(self, user: UserController, times_s: Floats, joints: int, reports: tuple[str, ...]) -> None:
@@ -327,15 +369,15 @@ class _Computing:
 
     @property
     def goes_on(self) -> bool:
-        """Whether the next call of ``act`` returns a part of the last answer."""
+        """Whether the next call of ``act`` returns the next action of the last answer."""
         return self._acts % self._per_answer != 0
 
     def is_due(self, tick: int) -> bool:
-        """Return whether there is an answer that counts from ``tick`` or an earlier tick."""
+        """Return whether there is an answer that takes effect at ``tick`` or earlier."""
         return self.counts_from is not None and self.counts_from <= tick
 
     def began(self, tick: int, action: Action, period_s: float) -> None:
-        """Keep the ``action`` whose computation begins at ``tick``."""
+        """Store an ``action`` whose computation begins at ``tick``."""
         cost_s = 0.0 if self.goes_on else float(self._times_s[min(tick, len(self._times_s) - 1)])
         self.counts_from = tick + delay_ticks(cost_s, period_s)
         self._action = deepcopy(action)  # the controller may use its arrays again
@@ -351,7 +393,10 @@ class _Computing:
 
 @lru_cache
 def _entries(hand_slots: int, joints: int) -> tuple[Callable[..., Any], ...]:
-    """Return the machine code of ``see``, ``obey`` and ``report``, so that numba looks it up only once."""
+    """Return the machine code of ``see``, ``obey`` and ``report``.
+
+    The function is cached, so that numba does not look up the machine code in each episode.
+    """
     state, command = initial_state(hand_slots, joints), np.zeros(1, command_dtype(joints))
     p, question = np.zeros(1, parameters_dtype(joints)), np.zeros(1, QUESTION)
     observation = np.zeros(1, observation_dtype(hand_slots, joints))
@@ -366,9 +411,10 @@ def _entries(hand_slots: int, joints: int) -> tuple[Callable[..., Any], ...]:
 
 
 def entry_of(function: Any, *arguments: Any) -> Callable[..., Any]:
-    """Return the machine code of ``function`` for arguments of these types, which it no longer checks.
+    """Return the machine code of ``function`` for arguments of these types.
 
-    In small functions, numba's check of record types takes ten times as long as the work itself.
+    The machine code does not check the types of its arguments. For small functions, numba's check of record
+    types takes ten times as long as the work itself.
     """
     key = function, tuple(map(_kind, arguments))
     if key not in _ENTRIES:
@@ -380,9 +426,9 @@ _ENTRIES: dict[tuple[Any, tuple[Any, ...]], Callable[..., Any]] = {}
 
 
 def _kind(argument: Any) -> Any:
-    """Return everything on which numba's type of an argument depends.
+    """Return a key for all properties of an argument that determine its type in numba.
 
-    numba's own look-up of the type takes milliseconds in each episode.
+    To look up the type in numba itself would take milliseconds in each episode.
     """
     if isinstance(argument, tuple):
         return type(argument), tuple(map(_kind, argument))
@@ -401,7 +447,7 @@ def _frozen(array: Floats) -> Floats:
 
 
 def arm_of(model: ArmModel) -> DrivenArm:
-    """Return the description of the arm ``model`` that controllers get."""
+    """Return the description of the arm ``model`` for controllers."""
     return DrivenArm(
         name=model.name,
         joint_names=model.joint_names,

@@ -1,7 +1,7 @@
 """Run a user's safety filter, which may change each command between the controller and the drives.
 
-The filter is called like a controller, at every tick after it.  It also sees the command that the controller
-wants.  If it returns this command, the command stays as it is, to the last bit.
+The harness calls the filter like a controller, after the controller at every tick. The filter also sees the
+command of the controller. If the filter returns this command, the command remains the same to the last bit.
 """
 
 from __future__ import annotations
@@ -22,21 +22,28 @@ from safety_harness.trace.records import Limit, Mode, filtered_dtype
 
 
 class FilterCalls(DrivenController):
-    """The calls of a safety filter in an episode, with a view of its own.
+    """A safety filter in an episode.
 
-    ``holds`` is true at a tick at which the filter lets the command pass, but its earlier stop still lasts.
+    The filter has its own view. At some ticks the filter passes the command while an earlier stop of the
+    filter still lasts. ``holds`` is True at these ticks.
     """
 
     holds: bool = False
 
     def failed(self, why: str) -> ControllerError:
-        """Return the error with the reason ``why``, which ends the run at this tick."""
+        """Return the error that ends the run at this tick.
+
+        ``why`` is the reason of the error.
+        """
         return ControllerError(str(super().failed(why)).replace("the controller", "the safety filter", 1))
 
     def filter(self, wanted: NDArray[np.void], observation: NDArray[np.void]) -> NDArray[np.void]:
-        """Return the filter's COMMAND (1,), which is ``wanted`` (1,) COMMAND itself if it stays unchanged.
+        """Return the filter's record COMMAND (1,).
 
-        A stop of the filter lasts like a stop of a controller, and no command passes until its end.
+        If the filter does not change the command ``wanted`` (1,), the result is ``wanted`` itself.
+
+        A stop of the filter lasts as long as a stop of a controller. Until the end of the stop, the filter
+        does not pass any command.
         """
         seen, state = self.perceive(observation), self.records.state
         rates_radps, stop = wanted["joint_velocity_radps"][0], bool(wanted["protective_stop"][0])
@@ -74,7 +81,10 @@ class FilteredController:
         self._changed, self._tick = False, 0
 
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
-        """Return the filtered COMMAND (1,) for ``observation`` (1,) OBSERVATION."""
+        """Return the COMMAND (1,) after the filter.
+
+        ``observation`` (1,) is a record OBSERVATION.
+        """
         wanted = self.pilot.step(observation).copy()
         record = self.filtered[self._tick]
         record["wanted_radps"] = wanted["joint_velocity_radps"][0]
@@ -90,9 +100,11 @@ class FilteredController:
         return command
 
     def _continue_from(self, command: NDArray[np.void], observation: NDArray[np.void]) -> None:
-        """Let controller and filter bound the next acceleration from the arm's motion by ``command`` (1,).
+        """Set the previous motion, from which controller and filter compute the next acceleration.
 
-        During a stop the brakes decide, so the motion is the measured one; ``observation`` (1,) OBSERVATION.
+        If the command ``command`` (1,) moves the arm, this motion is the motion that the command demands. If
+        the command demands a stop, this motion is the measured motion, because the brakes act.
+        ``observation`` (1,) is a record OBSERVATION.
         """
         pilot, own = self._records.state, self.calls.records.state
         if self._changed:
@@ -102,7 +114,10 @@ class FilteredController:
         own["previous_twist_in_base"] = pilot["previous_twist_in_base"]
 
     def report(self, tick: NDArray[np.void]) -> None:
-        """Let the controller write into ``tick`` (1,) TICK, then add the limits that changed the command."""
+        """Let the controller report into the trace, then add the limits that changed the command.
+
+        ``tick`` (1,) is a record TICK of the trace.
+        """
         self.pilot.report(tick)
         tick["limits"] |= self.calls.records.state["limits"]
         if self._changed:
@@ -111,7 +126,7 @@ class FilteredController:
                 tick["mode"] = int(Mode.PROTECTIVE_STOP)
 
     def sees_images_of(self, image: Callable[[], Any]) -> None:
-        """Show the present ``image()`` to the controller and the filter, if they see images."""
+        """Let the controller and the filter see the current ``image()``, if they see images."""
         self.calls.sees_images_of(image)
         if isinstance(self.pilot, DrivenController):
             self.pilot.sees_images_of(image)
@@ -123,15 +138,18 @@ class FilteredController:
 
     @property
     def decision_latencies_s(self) -> NDArray[np.float64]:
-        """The controller's latencies [s]."""
+        """The latencies [s] of the controller's decisions."""
         return self.pilot.decision_latencies_s
 
     @property
     def answers_took_s(self) -> list[float]:
-        """The wall-clock time [s] of each answer of a user's controller; empty for the visual servo."""
+        """The wall-clock time [s] of each answer of a user's controller.
+
+        The list is empty for the visual servo.
+        """
         return self.pilot.answers_took_s if isinstance(self.pilot, DrivenController) else []
 
     @property
     def known(self) -> dict[str, Measurement]:
-        """The columns of the traces that the controller does not report."""
+        """The columns of a trace that the controller does not report."""
         return self.pilot.known if isinstance(self.pilot, DrivenController) else {}

@@ -1,4 +1,4 @@
-"""Compute the twist of the TCP for a tick: servoing, retreat, and the limits of both."""
+"""Compute the twist of the TCP for a tick, for servoing or for a retreat, and apply the limits."""
 
 from __future__ import annotations
 
@@ -24,13 +24,14 @@ def servo_twist(
     states: StateRecords,
     twist_in_base_out: Array6,  # v, w [m/s, rad/s]
 ) -> None:
-    """Fill ``twist_in_base_out`` with the twist of eq. 1, of the TCP in the base frame.
+    """Fill ``twist_in_base_out`` with the TCP's twist by eq. 1, in the base frame.
 
         w = R w_camera,   v_tcp = R v_camera - w x c,   R = R_tcp_to_base R_camera_to_tcp
 
-    with c the vector from the TCP to the camera's origin, in the base frame. The formula holds because both
-    points belong to the flange, a rigid body. The gain lambda is ``gain_near`` if |e|^2 (eq. 15) is below
-    ``gain_switch_sse``, otherwise ``gain_far``. If the twist is not finite, the object counts as lost.
+    Here c is the vector from the TCP to the camera's origin, in the base frame. The formula is valid because
+    both points belong to the flange, which is a rigid body. The gain lambda is ``gain_near`` if |e|^2 (eq.
+    15) is less than ``gain_switch_sse``, and ``gain_far`` otherwise. If the twist is not finite, the object
+    counts as lost.
     """
     p, s = parameters[0], states[0]
     s.gain = p.gain_near if s.sse < p.gain_switch_sse else p.gain_far
@@ -74,14 +75,15 @@ def approach_twist(
     states: StateRecords,
     twist_in_base_out: Array6,  # v, w [m/s, rad/s]
 ) -> None:
-    """Fill ``twist_in_base_out`` with a straight motion to the repulsive position, which ends at rest there.
+    """Fill ``twist_in_base_out`` with a straight motion that ends at rest at the repulsive position.
 
         v = min(0.99 v_max, sqrt(2 (0.8 a) d), d/T) (target - tcp)/d,   d = |target - tcp|,   w = 0
 
-    The speed is the least of three bounds. The first is the repulsion speed v_max, less a reserve of 1 %.
-    From the second, the TCP can still stop within the remaining distance d by uniform braking at 80 % of the
-    permitted acceleration a. The remaining 20 % make up for the control period T. The third covers the
-    remaining distance in one tick.
+    The speed is the least of three bounds. The first bound is 99 % of the repulsion speed v_max. The second
+    bound is the speed from which the TCP can still stop within the remaining distance d. The TCP then brakes
+    uniformly at 80 % of the permitted acceleration a. The other 20 % of the acceleration are a reserve,
+    because the speed changes only once in a control period T. The third bound is the speed at which the TCP
+    covers the remaining distance in one tick.
     """
     p, s = parameters[0], states[0]
     total = 0.0
@@ -92,6 +94,7 @@ def approach_twist(
     distance = np.sqrt(total)
     speed = min(
         SPEED_RESERVE * p.repulsion_speed_mps,
+        # 2 times 0.8, the fraction of the permitted deceleration that the plan uses.
         np.sqrt(1.6 * p.repulsion_acceleration_mps2 * distance),
         distance / p.control_period_s,
     )
@@ -108,11 +111,14 @@ def shaped(
     max_acceleration_mps2: float,
     twist_out: Array6,
 ) -> int:
-    """Bound linear and angular speed and acceleration separately; return the Limit flags that acted.
+    """Limit the linear and the angular motion separately, and return the flags of the active limits.
+
+    The function limits the speed and the acceleration of each motion:
 
         u = wanted min(1, v_max/|wanted|),   out = previous + (u - previous) min(1, a_max T/|u - previous|)
 
-    for each of the halves v and w, with T the control period. ``SPEED_RESERVE`` reduces the linear v_max.
+    The formula applies both to the velocity v and to the angular velocity w. T is the control period.
+    ``SPEED_RESERVE`` reduces the linear v_max.
     """
     p = parameters[0]
     limits = 0
@@ -125,6 +131,8 @@ def shaped(
             + wanted[first + 1] * wanted[first + 1]
             + wanted[first + 2] * wanted[first + 2]
         )
+        # The speed is bounded first and the change second, because a step from an allowed twist towards an
+        # allowed twist is allowed too.
         scale = 1.0
         if speed > bounds[half]:
             scale = bounds[half] / speed

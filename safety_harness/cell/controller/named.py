@@ -1,4 +1,4 @@
-"""Find the controller that a reference means: a shipped one, or a user's own file or program."""
+"""Find the controller of a reference: a shipped controller, or a user's own file or program."""
 
 from __future__ import annotations
 
@@ -39,7 +39,10 @@ LEARNED_FILE = Path(__file__).resolve().parents[2] / "models" / "learned-policy.
 
 
 def learned_policy() -> UserController:
-    """Return the policy of examples/train_a_policy.py; ``MissingPackageError`` without onnxruntime."""
+    """Return the policy of examples/train_a_policy.py.
+
+    Raise ``MissingPackageError`` if onnxruntime is not installed.
+    """
     ONNX.require(LEARNED)
     from safety_harness.cell.controller.out_of_process.onnx_policy import (
         OnnxPolicy,  # its imports serve this controller only
@@ -55,13 +58,15 @@ CONTROLLER = Place(field="controller")
 
 
 def controller_of(reference: str, folder: Path | None, place: Place = CONTROLLER) -> Make:
-    """Return the function that makes a controller, a shipped one or a user's in a process of its own.
+    """Return the function that makes a controller.
+
+    A user's controller runs in its own process.
 
     Args:
         reference: The controller's name, file, program or address, as in a scenario.
-        folder: The folder of a relative file; None: the working directory. A program and the files among its
-            arguments are relative to the working directory.
-        place: The place of an error.
+        folder: The folder from which a relative file path starts. None means the working directory. A program
+            and the files among its arguments are relative to the working directory.
+        place: The place that an error states.
 
     Raises:
         InadmissibleError: There is no such controller.
@@ -79,7 +84,10 @@ def controller_of(reference: str, folder: Path | None, place: Place = CONTROLLER
 
 
 def _opened(opener: ControllerOpener, reference: str, place: Place) -> UserController:
-    """Return the controller of a package's ``opener``; ``InadmissibleError`` at ``place`` if it raises."""
+    """Return the controller that a package's ``opener`` opens.
+
+    Raise ``InadmissibleError`` at ``place`` if the opener raises an exception.
+    """
     try:
         controller = opener.open(reference)
     except Exception as error:  # another package's module may raise anything
@@ -90,12 +98,12 @@ def _opened(opener: ControllerOpener, reference: str, place: Place) -> UserContr
 
 
 def refuse_unusable_controller(reference: str, folder: Path | None, place: Place) -> None:
-    """Raise those errors of ``controller_of`` that can be found without execution of a user's code.
+    """Raise each error of ``controller_of`` that the harness can find without executing a user's code.
 
     Args:
-        reference: The controller, as in ``controller_of``.
-        folder: The folder of a relative file.
-        place: The place of an error.
+        reference: The controller, in the form that ``controller_of`` accepts.
+        folder: The folder from which a relative file path starts.
+        place: The place that an error states.
 
     """
     if reference in SHIPPED:
@@ -112,12 +120,12 @@ def refuse_unusable_controller(reference: str, folder: Path | None, place: Place
 
 
 def controller_file(reference: str, folder: Path | None, place: Place = CONTROLLER) -> tuple[Path, str]:
-    """Return the existing file of a user's controller and the name in it.
+    """Return the existing file of a user's controller, and the controller's name in the file.
 
     Args:
-        reference: The controller, as in ``controller_of``.
-        folder: The folder of a relative file.
-        place: The place of an error.
+        reference: The controller, in the form that ``controller_of`` accepts.
+        folder: The folder from which a relative file path starts.
+        place: The place that an error states.
 
     Raises:
         InadmissibleError: The reference is not valid, or the file does not exist.
@@ -138,7 +146,10 @@ def controller_file(reference: str, folder: Path | None, place: Place = CONTROLL
 
 
 def controller_sha256(reference: str, folder: Path | None) -> str:
-    """Return the hash of a controller's file; empty for our own code and for a program at a socket."""
+    """Return the hash of a controller's file.
+
+    The hash is empty for the harness's own code and for a program at a socket.
+    """
     if reference == LEARNED:
         return hashlib.sha256(LEARNED_FILE.read_bytes()).hexdigest()
     if reference in NAMES:

@@ -1,7 +1,7 @@
-"""Run a predictor: at each tick it gives the hands at the end of the horizon, and a set for each.
+"""Run a predictor, which predicts the hands at the end of the horizon and a set for each hand.
 
-The predictor is called like a controller, before the visual servo.  It replaces the Kalman filter of the
-servo, and the gate's ``every hand in its set`` uses its sets.
+The harness calls the predictor like a controller, before the visual servo at each tick. The predictor
+replaces the Kalman filter of the servo. The gate's rule ``every hand in its set`` uses the predictor's sets.
 """
 
 from __future__ import annotations
@@ -39,10 +39,11 @@ CONFIDENCE = 0.95  # of the sets of the Kalman filter
 
 
 class PredictorCalls(DrivenController):
-    """The calls of a predictor in an episode of ``ticks`` ticks, which starts at ``joint_position_rad`` (n,).
+    """A predictor in an episode that lasts ``ticks`` control ticks.
 
-    ``predicted`` (n,) PREDICTED keeps the sets of each tick, and ``half_widths_m`` (k, 3) has those of the
-    present tick along the base's axes, for its k hands.
+    ``joint_position_rad`` (n,) is the arm's position at the start. ``predicted`` (n,) contains the sets of
+    each tick, as records PREDICTED. ``half_widths_m`` (k, 3) contains the half widths of the k hands' sets at
+    the present tick. The half widths are along the axes of the base frame.
     """
 
     def __init__(
@@ -61,11 +62,16 @@ class PredictorCalls(DrivenController):
         self.half_widths_m = np.zeros((0, 3))
 
     def failed(self, why: str) -> ControllerError:
-        """Return the error with the reason ``why``, which ends the run at this tick."""
+        """Return the error that ends the run at this tick.
+
+        ``why`` is the reason of the error.
+        """
         return ControllerError(str(super().failed(why)).replace("the controller", "the predictor", 1))
 
     def predict(self, observation: ObservationRecords, state: StateRecords, tracks: TrackRecords) -> None:
-        """Write the predicted hands of this tick into ``state`` (1,) STATE and ``tracks`` (n,) TRACK.
+        """Write the predicted hands of this tick into the servo's records.
+
+        ``state`` (1,) is a record STATE, and ``tracks`` (n,) contains records TRACK.
 
         Raises:
             ControllerError: The predictor raises an exception, or its answer is invalid.
@@ -82,7 +88,10 @@ class PredictorCalls(DrivenController):
         self.question["tick"] += 1
 
     def _write(self, hands: tuple[HandSet, ...], state: np.void, tracks: TrackRecords) -> None:
-        """Write the ``hands`` into ``state`` STATE, ``tracks`` (n,) TRACK and the record of this tick."""
+        """Write the ``hands`` into the servo's records and into the record of this tick.
+
+        ``state`` is a record STATE, and ``tracks`` (n,) contains records TRACK.
+        """
         sets = self.predicted[int(self.question[0]["tick"])]
         state["track_valid"][:] = False
         tracks["valid"] = False
@@ -98,7 +107,10 @@ class PredictorCalls(DrivenController):
 
 
 def _hands_of(answer: object, most: int) -> tuple[HandSet, ...]:
-    """Return the hands of a predictor's ``answer``; raise ControllerError if they are invalid."""
+    """Return the hands in a predictor's ``answer``.
+
+    Raise ``ControllerError`` if they are invalid.
+    """
     if not isinstance(answer, Predicted):
         raise ControllerError(f"act returned no Predicted: {printable(repr(answer))}")
     hands = tuple(answer.hands)
@@ -115,7 +127,10 @@ def _hands_of(answer: object, most: int) -> tuple[HandSet, ...]:
 
 
 def _shape_of(hand: HandSet) -> Floats:
-    """Return S (3, 3) [m^2] of a hand's set, as PREDICTED has it; ControllerError if the set is invalid."""
+    """Return the matrix S (3, 3) [m^2] of a hand's set, as PREDICTED defines it.
+
+    Raise ``ControllerError`` if the set is invalid.
+    """
     given = [name for name in SETS if getattr(hand, name) is not None]
     if len(given) != 1:
         got = " and ".join(given) or "none"
@@ -136,7 +151,10 @@ def _shape_of(hand: HandSet) -> Floats:
 
 
 def _finite(name: str, value: object, shape: tuple[int, ...]) -> Floats:
-    """Return ``value`` as an array of ``shape``; raise ControllerError unless all numbers are finite."""
+    """Return ``value`` as an array of the shape ``shape``.
+
+    Raise ``ControllerError`` unless all numbers are finite.
+    """
     given = np.asarray(numbers(name, value, shape), dtype=np.float64)
     if not np.isfinite(given).all():
         raise ControllerError(f"act predicted a {name} that is not finite: {given.tolist()}")
@@ -144,17 +162,21 @@ def _finite(name: str, value: object, shape: tuple[int, ...]) -> Floats:
 
 
 class KalmanFilter:
-    """The predictor that ships: the Kalman filter's hands, each with a box that holds it in 95 %.
+    """The shipped predictor, which is the Kalman filter.
 
-    The box has k standard deviations of the position along each axis, with the normal quantile k of
-    (1 + 0.95^(1/3))/2. It relies on the filter's covariance.
+    Each hand has a box that should contain the hand with a probability of 95 %. Along each axis, the half
+    width of the box is k standard deviations of the position. Here k is the normal quantile of (1 +
+    0.95^(1/3))/2. The probability is right only if the filter's covariance is right.
     """
 
     name: ClassVar[str] = KALMAN_FILTER
     sees: ClassVar[tuple[str, ...]] = (PREDICTED_HANDS,)
 
     def reset(self, *, settings: Settings, arm: DrivenArm, start: Start, seed: int) -> None:
-        """Begin an episode; nothing is kept."""
+        """Begin an episode.
+
+        The predictor has no memory of earlier episodes.
+        """
         self._deviations = normal_quantile(0.5 + 0.5 * power(CONFIDENCE, 1.0 / 3.0))
 
     def act(self, seen: Seen) -> Any:

@@ -13,12 +13,18 @@ HINT = "safety-harness docs how-to/controller"
 
 
 def controller_in(path: Path, source: bytes, name: str, place: Place) -> UserController:
-    """Return the controller ``name`` of a file; if it is a class, make an instance without arguments."""
+    """Return the controller ``name`` of a file.
+
+    If ``name`` is a class, the function creates an instance without arguments.
+    """
     return checked_controller(made_by(path, source, name, "a controller", place, HINT), name, place)
 
 
 def checked_controller(candidate: object, name: str, place: Place) -> UserController:
-    """Return ``candidate`` if it follows the contract; ``InadmissibleError`` at ``place`` otherwise."""
+    """Return ``candidate`` if it follows the contract.
+
+    Raise ``InadmissibleError`` at ``place`` if it does not.
+    """
     refuse_lacking(candidate, name, METHODS, place, HINT)
     controller: UserController = candidate  # type: ignore[assignment]  # checked by ``refuse_lacking``
     try:

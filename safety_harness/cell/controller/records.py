@@ -1,8 +1,8 @@
 """Define the records that the compiled control stack reads and writes.
 
-``PARAMETERS`` never change in a run. STATE is the memory of an episode. The stack receives OBSERVATION, and
-``ANSWER`` from a decision, and returns ``COMMAND``. For many episodes, an array of each record type has an
-element for each episode.
+A record ``PARAMETERS`` never changes during a run. STATE is the memory of the controller in an episode. The
+stack receives an OBSERVATION and, after a decision, an ``ANSWER``. The stack returns a ``COMMAND``. For many
+episodes, an array of each record type contains one element for each episode.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def parameters_dtype(joints: int) -> np.dtype[Any]:
 def state_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
     """Return the record type STATE of a controller.
 
-    The record has TRACKS_PER_HAND tracks for each of ``hands`` hands, and ``joints`` joints.
+    The record has room for ``joints`` joints, and for TRACKS_PER_HAND tracks for each of ``hands`` hands.
     """
     tracks = TRACKS_PER_HAND * hands
     return np.dtype(
@@ -109,7 +109,7 @@ def state_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
 def observation_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
     """Return the record type OBSERVATION.
 
-    The record has ``joints`` joints, and TRACKS_PER_HAND boxes for each of ``hands`` hands.
+    The record has room for ``joints`` joints, and for TRACKS_PER_HAND boxes for each of ``hands`` hands.
     """
     boxes = TRACKS_PER_HAND * hands
     return np.dtype(
@@ -154,7 +154,10 @@ FaultRecords = NewType("FaultRecords", Records)  # (n,) FAULT
 
 
 def overhead_transform_sensor_to_base(settings: Settings) -> NDArray[np.float64]:
-    """Return the pose (4, 4) of the fixed hand camera: straight down, image u along base -y, v along -x."""
+    """Return the pose (4, 4) of the fixed hand camera.
+
+    The camera looks straight down. The image's u axis points along -y of the base, and its v axis along -x.
+    """
     transform = np.eye(4)
     transform[:3, :3] = [[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]
     transform[:3, 3] = settings.hand_sensor.overhead_position_in_base_m
@@ -162,7 +165,7 @@ def overhead_transform_sensor_to_base(settings: Settings) -> NDArray[np.float64]
 
 
 def parameters(settings: Settings, arm: ArmModel, view: DesiredView) -> NDArray[np.void]:
-    """Return the PARAMETERS (1,) of the settings, the arm and the desired view of the object."""
+    """Return the record PARAMETERS (1,) for the settings, the arm and the desired view of the object."""
     p = np.zeros(1, parameters_dtype(len(arm.joint_names)))
     p["control_period_s"] = settings.clock.control_period_s
     p["chain"] = arm.chain
@@ -183,7 +186,7 @@ def parameters(settings: Settings, arm: ArmModel, view: DesiredView) -> NDArray[
 
 
 def initial_state(hand_slots: int = HAND_SLOTS[0], joints: int = JOINTS) -> NDArray[np.void]:
-    """Return the STATE (1,) before the first observation."""
+    """Return the record STATE (1,) before the first observation."""
     s = np.zeros(1, state_dtype(hand_slots, joints))
     s["predicted_distance_m"] = np.inf
     s["nearest_track"] = -1

@@ -1,4 +1,4 @@
-"""Compute the view that a user's controller gets of an observation, and the command of its action."""
+"""Compute a user controller's view from an observation, and the command from the controller's action."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ SeenRecords = NewType("SeenRecords", NDArray[np.void])  # (1,) SEEN
 
 
 class DrivenRecords(NamedTuple):
-    """All records between the observations of an episode and the commands of a user's controller."""
+    """All records that connect the observations of an episode to the commands of a user's controller."""
 
     parameters: ParameterRecords  # (1,) PARAMETERS
     filter_parameters: FilterRecords  # (1,) FILTER_PARAMETERS
@@ -72,12 +72,12 @@ _NOTHING = DesiredView(  # for a controller that does not see the object
 def driven_records(
     settings: Settings, arm: ArmModel, view: DesiredView | None, hand_slots: int
 ) -> DrivenRecords:
-    """Return the records at the start of an episode, with empty views and without a stop.
+    """Return the records at the start of an episode, when the views are empty and there is no stop.
 
     Args:
         settings: The settings.
         arm: The arm.
-        view: The desired view, necessary only if the controller sees the object.
+        view: The desired view, which is necessary only if the controller sees the object.
         hand_slots: The scenario's number of hands.
 
     """
@@ -106,7 +106,10 @@ def see(
     objects: bool,
     predicts: bool,
 ) -> None:
-    """Fill ``seen`` from the newest observation; ``objects`` and ``predicts`` select optional parts."""
+    """Fill ``seen`` from the newest observation.
+
+    ``objects`` and ``predicts`` select whether to fill the object and the predicted hands.
+    """
     p, s, o = parameters[0], states[0], observations[0]
     forward_kinematics(p.chain, o.joint_position_rad, s.link_transforms)
     copy_matrix(s.link_transforms[p.chain.joint_axes.shape[0] + 1], s.transform_tcp_to_base)
@@ -131,8 +134,8 @@ def show(
 ) -> None:
     """Fill ``seen`` from the control stack's perception.
 
-    ``hands``, ``objects`` and ``predicts`` select optional parts. The hands come from the sensor's last
-    frame.
+    ``hands``, ``objects`` and ``predicts`` select which optional parts to fill. The measured hands come from
+    the sensor's last frame.
     """
     p, s, o, out = parameters[0], states[0], observations[0], seen[0]
     out.time_s = o.time_s
@@ -166,7 +169,10 @@ def show(
 def measured_hands(
     filter_parameters: FilterRecords, observations: ObservationRecords, seen: SeenRecords
 ) -> None:
-    """Fill ``seen`` with a new frame's boxes and the hands' centres, placed by the sensor's present pose."""
+    """Fill ``seen`` with the boxes of a new frame and the hands' centres in the base frame.
+
+    The sensor's present pose gives the positions of the centres.
+    """
     f, o, out = filter_parameters[0], observations[0], seen[0]
     out.boxes_time_s = o.boxes_time_s
     out.box_count = out.hand_count = o.box_count
@@ -185,15 +191,16 @@ def measured_hands(
 def spread_of_track(
     filter_parameters: FilterRecords, tracks: TrackRecords, number: int, at_s: float, seen: SeenRecords
 ) -> None:
-    """Fill a track's velocity (3,) at ``at_s``, and the covariance (6, 6) of its position and velocity.
+    """Fill a track's velocity and the covariance of its position and velocity, both at the time ``at_s``.
 
-    Both are in the base frame. (R, t) is the sensor's pose, and p = R g(u, v, z) + t the hand's position.
-    With the Jacobian A of g, p' = R A (u', v', z'), and, to first order,
+    The velocity (3,) and the covariance (6, 6) are in the base frame. The sensor's pose is (R, t), and the
+    hand's position is p = R g(u, v, z) + t. Let A be the Jacobian of g. Then p' = R A (u', v', z') and, to
+    first order,
 
         cov = J diag-pairs J^T,   J = R [[A, 0], [0, A]]
 
-    where diag-pairs are the covariances of the filter's pairs (value, rate) at ``at_s``. They include the
-    growth by the filter's process noise.
+    The filter has pairs of a value and its rate. Here diag-pairs is the block-diagonal matrix of the pairs'
+    covariances at ``at_s``. These covariances include the growth by the filter's process noise.
     """
     f, t, out = filter_parameters[0], tracks[number], seen[0]
     dt = at_s - t.time_s
@@ -245,14 +252,16 @@ def obey(
     stop: bool,
     commands: CommandRecords,
 ) -> bool:
-    """Fill the command for an action, within the limits; return False if the action is not finite.
+    """Fill the command for an action, within the limits.
 
-    An action that is not finite changes nothing. A stop lasts until the arm stands still and the restart
-    delay after the last demand for a stop is over. Until then the drives do not obey.
+    Return False if the action is not finite. An action that is not finite changes no record. A stop lasts
+    until the arm is at rest and the restart delay has passed since the last demand for a stop. Until then the
+    drives ignore all other commands.
     """
     p, s, o, command = parameters[0], states[0], observations[0], commands[0]
     joints = command.joint_velocity_radps.shape[0]
     for i in range(wanted.shape[0]):
+        # Tested before any record changes, so that the caller can refuse the action.
         if not np.isfinite(wanted[i]):
             return False
     still = True
@@ -263,6 +272,7 @@ def obey(
     if stop:
         s.mode = PROTECTIVE_STOP
         s.clear_since_s = o.time_s
+    # 1e-9 s, because times of ticks are rounded products.
     elif s.mode == PROTECTIVE_STOP and still and o.time_s - s.clear_since_s >= p.restart_delay_s - 1e-9:
         s.mode = SERVOING
     geometric_jacobian(p.chain.joint_axes, s.link_transforms, s.jacobian)
@@ -273,6 +283,7 @@ def obey(
             parameters, states, observations, p.max_tcp_speed_mps, p.max_tcp_acceleration_mps2, commands
         )
         return True
+    # One factor for all joints, so that the direction of the motion remains.
     scale = 1.0
     for i in range(joints):
         if abs(wanted[i]) > p.joint_velocity_limit_radps[i]:
@@ -284,6 +295,7 @@ def obey(
         command.joint_velocity_radps[i] = scale * wanted[i]
     clip_joints(parameters, command.joint_velocity_radps)
     for i in range(6):
+        # The next twist of the TCP must start from this motion, or its acceleration limit would be wrong.
         s.previous_twist_in_base[i] = 0.0
         for j in range(joints):
             s.previous_twist_in_base[i] += s.jacobian[i, j] * command.joint_velocity_radps[j]

@@ -1,18 +1,19 @@
 """Apply speed and separation monitoring to every link, as the last step of a control tick.
 
-The shield scales the command of any controller. If the arm then brakes from the next tick on, it stops before
-a hand at its greatest speed can reach a moving part. The theorem, its assumptions and its proof are in
-docs/explanation/shield.md. This file applies the theorem's rule, with the symbols of that page. For the
-distance g_i of each hand i, less its body and uncertainty, the share s of the command obeys
+The shield scales the command of any controller. If the arm brakes from the next tick on, it stops before a
+hand at its greatest speed can reach a moving part. The theorem, its assumptions and its proof are in
+docs/explanation/shield.md. This file applies the theorem's rule, with the symbols of that page. Take the
+distance of hand i from the arm, and subtract both the size of the hand's body and the uncertainty of its
+position. Let g_i be the result. The fraction s of the command obeys
 
     s <= (g_i - F - v_h t_0) / (v_h V/a + R),   R = V l + D.L.|u| l + A l^2/2,
     l = P + V/2a,   t_0 = age + P + T_r
 
-V is a bound of the arm's speed, a its deceleration, P the control period and T_r the reaction time. F is the
-sum of V(c) P + D.L.D/2 over the commands c that the drives may not have executed yet. A hand may have an
-acceleration of at most b, and a measured speed of at most w. For such a hand it suffices that
+V is a bound of the arm's speed, a is its deceleration, P is the control period, and T_r is the reaction time.
+F is the sum of V(c) P + D.L.D/2 over the commands c that the drives may still have to execute. If a hand's
+acceleration is at most b and its measured speed is at most w, it suffices that
 
-    w t + b t^2/2 + F + s R <= g_i,   t = t_0 + s V/a.
+    w t + b t^2/2 + F + s R <= g_i,   t = t_0 + s V/a
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ Interventions = NewType("Interventions", Records)  # (n,) INTERVENTION, one a ti
 def shield_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
     """Return the record type SHIELD.
 
-    The record has ``joints`` joints, and TRACKS_PER_HAND boxes for each of ``hands`` hands.
+    The record has room for ``joints`` joints, and for TRACKS_PER_HAND boxes for each of ``hands`` hands.
     """
     boxes = TRACKS_PER_HAND * hands
     return np.dtype(
@@ -97,7 +98,10 @@ def shield_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
 
 
 class Guard(NamedTuple):
-    """The shield's records in a run, as ``act`` takes them; all arrays are empty without a shield."""
+    """The shield's records in a run, in the form that ``act`` takes.
+
+    All arrays are empty without a shield.
+    """
 
     shield: ShieldRecords  # (1,) SHIELD
     interventions: Interventions  # (n,) INTERVENTION
@@ -112,13 +116,13 @@ def guard_of(
     ticks: int,
     hand_slots: int = HAND_SLOTS[0],
 ) -> Guard:
-    """Return the shield's records for a run of ``ticks`` ticks, with the arm at rest and no frame yet.
+    """Return the shield's records for a run of ``ticks`` ticks.
 
-    Without a ``shield`` the records are empty.
+    At first the arm is at rest, and there is no frame.
 
     Args:
-        shield: The scenario's shield, if any.
-        settings: The settings, for the control period and the sensor.
+        shield: The scenario's shield. None means that the records are empty.
+        settings: The settings, with the control period and the sensor.
         arm: The arm.
         capsules: Its capsules.
         ticks: The number of ticks.
@@ -135,6 +139,7 @@ def guard_of(
     g["reaction_time_s"] = delay_ticks(shield.reaction_time_s, period_s) * period_s
     most = shield.hand_acceleration_mps2
     g["hand_acceleration_mps2"] = inf if most is None else most
+    # This span makes the bound 2 Z/t + b t/2 of ``measure_speeds`` least.
     g["window_s"] = 0.0 if most is None else sqrt(4.0 * shield.uncertainty_m / most)
     g["reach_m"] = chain_lengths(arm.chain, capsules.records)
     g["transform_sensor_to_base"] = overhead_transform_sensor_to_base(settings)
@@ -148,7 +153,10 @@ def guard_of(
 
 
 def no_guard(hand_slots: int = HAND_SLOTS[0], joints: int = JOINTS) -> Guard:
-    """Return a guard of empty records, with the types of a real guard, for a run without a shield."""
+    """Return a guard of empty records for a run without a shield.
+
+    The records have the same types as in a real guard.
+    """
     return Guard(
         ShieldRecords(np.zeros(0, shield_dtype(hand_slots, joints))),
         Interventions(np.zeros(0, intervention_dtype(hand_slots, joints))),
@@ -167,11 +175,11 @@ def keep_apart(
     commands: CommandRecords,
     tick: int,
 ) -> None:
-    """Scale the command of this tick, or brake along the last command's path; for a NaN, brake.
+    """Scale the command of this tick, or brake along the path of the last command.
 
-    If the controller demands a stop, the shield brakes first, and passes the stop to the drives at
-    standstill. The reason is that the drives' own stop begins with the reaction time, in which the arm would
-    go on.
+    If a number is NaN, the shield brakes. If the controller demands a stop, the shield brakes first. The
+    shield passes the stop to the drives only when the arm is at rest. If the drives themselves stopped the
+    moving arm, the arm would not brake during their reaction time.
     """
     p, s, g, command = parameters[0], states[0], shields[0], commands[0]
     joints, period_s = command.joint_velocity_radps.shape[0], p.control_period_s
@@ -193,6 +201,8 @@ def keep_apart(
             )
         if not stop_s < np.inf:  # a NaN or infinity somewhere, which a scaled command would contain too
             share, stop_s = 0.0, np.nan
+    # The last command needs ``stop_s`` to brake. A command that needs less than the rest would brake harder
+    # than the arm can, so the shield brakes along the last command's path instead.
     left_s = g.stop_s - period_s
     if command.protective_stop or (share < 1.0 and not share * stop_s >= left_s):
         kept = left_s / g.stop_s if left_s > 0.0 else 0.0
@@ -232,10 +242,10 @@ def in_flight(
     tick: int,
     period_s: float,
 ) -> float:
-    """Return how far [m] the commands of the last reaction time may still move a point in a straight line.
+    """Return a bound [m] of how far the commands of the last reaction time may still move a point of the arm.
 
-    The function also fills the largest turn of each joint by these commands. Both hold because the drives
-    execute each command at most once, and within the reaction time.
+    The function also fills the largest turn of each joint that these commands may still cause. These bounds
+    are valid because the drives execute each command at most once, and within the reaction time.
     """
     g, flight_m = shields[0], 0.0
     g.flight_rad[:] = 0.0
@@ -253,7 +263,7 @@ def in_flight(
 def middle_of(capsules: CapsuleRecords, k: int, transforms: NDArray[np.float64], middle: Array3) -> float:
     """Fill the middle (3,) of a capsule's axis in the base frame, and return half the length of the axis.
 
-    ``transforms`` (frames, 4, 4) are from each frame to base.
+    ``transforms`` (frames, 4, 4) transform from each frame to the base.
     """
     start, end, squared = capsules[k].start_in_link, capsules[k].end_in_link, 0.0
     at = transforms[capsules[k].link_index]
@@ -273,9 +283,10 @@ def fastest_point(
     shields: ShieldRecords,
     capsules: CapsuleRecords,
 ) -> float:
-    """Return a bound V [m/s] of the speed of every point of a capsule's axis; NaN if a speed is NaN.
+    """Return a bound V [m/s] of the speed of all points on the capsules' axes, or NaN if a speed is NaN.
 
-    The speed of a point exceeds the speed of its axis's middle by at most |w| times half the axis's length.
+    The speed of a point on an axis exceeds the speed of the axis's middle by at most |w| times half the
+    axis's length.
     """
     g, fastest_mps, joints = shields[0], 0.0, joint_axes.shape[0]
     link_twists(joint_axes, transforms, rates_radps, g.twists)
@@ -298,11 +309,11 @@ def clearances(
     shields: ShieldRecords,
     capsules: CapsuleRecords,
 ) -> None:
-    """Fill each hand's distance [m] from the arm, and the index of its nearest capsule.
+    """Fill the distance [m] of each hand from the arm, and the index of the nearest capsule.
 
-    The distance is from the surface of the moving parts, without the base, to the measured centre of the
-    hand. No point of an axis is farther from its middle than half its length, so the loop can skip most
-    capsules.
+    The distance is between the surface of the moving parts, without the base, and the measured centre of the
+    hand. The distance between a point of an axis and the axis's middle is at most half the axis's length. So
+    the loop can skip most capsules.
     """
     g = shields[0]
     for i in range(g.count[0]):
@@ -337,9 +348,9 @@ def allowed_share(
     period_s: float,
     time_s: float,
 ) -> tuple[float, int]:
-    """Return the allowed share s of the command, and the capsule that determines s (-1: none).
+    """Return the allowed fraction s of the command, and the index of the capsule that determines s.
 
-    ``flight_m`` comes from ``in_flight``.
+    The index is -1 if no capsule determines s. ``flight_m`` comes from ``in_flight``.
     """
     g = shields[0]
     if not g.taken_s[0] > -np.inf:
@@ -350,6 +361,8 @@ def allowed_share(
     bend, cross, flown, rate_sum, turn_sum_rad = 0.0, 0.0, 0.0, 0.0, 0.0  # A, D.L.|u|, D.L.D
     for j in range(rates_radps.shape[0]):
         rate, turn_rad, reach_m = abs(rates_radps[j]), g.flight_rad[j], g.reach_m[j]
+        # For a pair of joints the reach of the outer joint counts, as in ``closest_approach._bend``. The sums
+        # over earlier joints avoid the double loop.
         bend += rate * reach_m * (rate + 2.0 * rate_sum)
         cross += reach_m * (turn_rad * (rate + rate_sum) + rate * turn_sum_rad)
         flown += turn_rad * reach_m * (turn_rad + 2.0 * turn_sum_rad)
@@ -361,9 +374,11 @@ def allowed_share(
     for i in range(g.count[0]):
         free_m = g.clearance_m[i] - g.body_m - g.uncertainty_m - (flight_m + 0.5 * flown)
         seen = g.speed_mps[i]
+        # Both rules are proven, so the shield may use the one that allows more.
         own = share_within(free_m, robot_m, known_s, stop_s, g.hand_speed_mps, 0.0)
         if g.hand_acceleration_mps2 < np.inf:
             own = max(own, share_within(free_m, robot_m, known_s, stop_s, seen, g.hand_acceleration_mps2))
+        # The negated form also takes over a NaN.
         if not own >= share:
             share, capsule = own, g.capsule[i]
     return share, capsule
@@ -373,23 +388,25 @@ def allowed_share(
 def share_within(
     free_m: float, robot_m: float, known_s: float, stop_s: float, hand_mps: float, hand_mps2: float
 ) -> float:
-    """Return the largest s for which w t + b t^2/2 + s R <= ``free_m``, with t = t_0 + s V/a.
+    """Return the largest s for which w t + b t^2/2 + s R <= ``free_m``.
 
-    R is ``robot_m``, t_0 ``known_s``, V/a ``stop_s``, w ``hand_mps`` and b ``hand_mps2``. Return 0 if there
-    is no such s or a number is NaN.
+    Here t = t_0 + s V/a. The arguments are R = ``robot_m``, t_0 = ``known_s``, V/a = ``stop_s``, w =
+    ``hand_mps`` and b = ``hand_mps2``. Return 0 if such an s does not exist, or if a number is NaN.
     """
     room_m = free_m - hand_mps * known_s - 0.5 * hand_mps2 * known_s * known_s
     if not room_m > 0.0:
         return 0.0
     per_share = (hand_mps + hand_mps2 * known_s) * stop_s + robot_m
+    # The quadratic formula in the form that does not cancel and also holds for b = 0.
     root = sqrt(per_share * per_share + 2.0 * hand_mps2 * stop_s * stop_s * room_m)
     return 2.0 * room_m / (per_share + root)
 
 
 @njit_no_nrt
 def take_frame(shields: ShieldRecords, observations: ObservationRecords) -> None:
-    """Store the hands of a new frame; if it shows fewer hands than the last, keep the old hands instead."""
+    """Store the hands of a new frame, unless the frame shows fewer hands than the last stored frame."""
     g, o = shields[0], observations[0]
+    # A frame with fewer hands has missed one. The older positions stay, and their age enters the bound.
     if o.box_count < g.count[0]:
         return
     g.taken_s[0], g.count[0] = o.boxes_time_s, o.box_count
@@ -405,11 +422,12 @@ def take_frame(shields: ShieldRecords, observations: ObservationRecords) -> None
 
 @inlined
 def measure_speeds(shields: ShieldRecords) -> None:
-    """Fill a bound of the speed of each hand in the last frame, from a frame at least the window older.
+    """Fill an upper bound of the speed of each hand in the last frame.
 
-    The bound is |v| <= (|p - p_before| + 2 Z)/t + b t/2. Z is the uncertainty of a position, t the time
-    between both frames, and b the largest acceleration. It is unknown which hand of the older frame is the
-    same hand. So p_before is the farthest position there from which the hand could come.
+    The bound uses an earlier frame, which is older by at least the window. The bound is |v| <= (|p -
+    p_before| + 2 Z)/t + b t/2. Z is the uncertainty of a position, t is the time between the two frames, and
+    b is the largest acceleration. The shield does not know which hand of the older frame is the same hand. So
+    p_before is the farthest position in the older frame from which the hand could have come.
     """
     g = shields[0]
     if g.taken_s[0] - g.taken_s[1] >= g.window_s:  # frame 1 becomes frame 2, and this frame 1

@@ -1,8 +1,9 @@
-"""Run the compiled control stack: ``begin_tick`` perceives, ``finish_tick`` acts.
+"""Run the compiled control stack.
 
-Between the two functions, the caller decides if necessary. ``controller`` makes these decisions one by one,
-or in a batch for many episodes. Both worlds use exactly these two functions. The table of states is in
-docs/reference/controller.md.
+``begin_tick`` processes the observation, and ``finish_tick`` computes the command. Between the two functions,
+the caller makes a decision if one is necessary. The module ``controller`` makes these decisions one by one,
+or in a batch for many episodes. Both worlds use exactly these two functions. The page
+docs/reference/controller.md contains the table of states.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ HAND_STILL_THERE = int(Trigger.HAND_STILL_THERE)
 ANOTHER_HAND = int(Trigger.ANOTHER_HAND)
 LIMIT_JOINT_SPEED = int(Limit.JOINT_SPEED)
 LIMIT_SINGULARITY = int(Limit.SINGULARITY)
+# A choice: a single joint at this rate moves a point 1 m away at 1 mm/s.
 STANDSTILL_RADPS = 1e-3
 
 
@@ -48,8 +50,12 @@ def begin_tick(
     tracks: TrackRecords,  # (tracks,) TRACK
     observations: ObservationRecords,  # (1,) OBSERVATION
 ) -> bool:
-    """Read an observation and update the state; return True if ``finish_tick`` needs a decision."""
+    """Read an observation and update the state.
+
+    Return True if ``finish_tick`` needs a decision.
+    """
     p, s, o = parameters[0], states[0], observations[0]
+    # The kinematic world may already have put its own, equal transforms here.
     if not s.placed:
         forward_kinematics(p.chain, o.joint_position_rad, s.link_transforms)
     s.placed = False
@@ -65,7 +71,7 @@ def begin_tick(
 
 @njit_no_nrt
 def see_object(parameters: ParameterRecords, states: StateRecords, observations: ObservationRecords) -> None:
-    """Set the features f (eqs. 3 to 5), e = f - f* and |e|^2 (eq. 15) from a new image, if there is one."""
+    """If there is a new image, compute the features f (eqs. 3 to 5), e = f - f* and |e|^2 (eq. 15)."""
     p, s, o = parameters[0], states[0], observations[0]
     if not o.image_new:
         return
@@ -78,6 +84,7 @@ def see_object(parameters: ParameterRecords, states: StateRecords, observations:
     copy_vector(o.moments, s.moments)
     finite = features(s.moments, p.desired_area, p.desired_depth_m, p.dense, s.features)
     s.sse = feature_error(s.features, p.desired_features, s.feature_error)
+    # Moments may be finite while a feature is not; servoing on it would command NaN.
     if not (finite and np.isfinite(s.sse)):
         s.object_visible = False
 
@@ -90,10 +97,11 @@ def see_hands(
     tracks: TrackRecords,
     observations: ObservationRecords,
 ) -> None:
-    """Filter the boxes (eqs. 7, 8), predict each hand at now + horizon, and find the nearest to the TCP.
+    """Filter the boxes (eqs. 7, 8), predict each hand at now + horizon, and find the hand nearest to the TCP.
 
-    The sensor's pose is fixed, or for the camera on the flange T_tcp_to_base T_camera_to_tcp. If the scenario
-    has a predictor, it has already written the positions, and only the nearest is found.
+    The sensor's pose is fixed or, for the camera on the flange, T_tcp_to_base T_camera_to_tcp. If the
+    scenario has a predictor, the predictor has already written the positions. The function then only finds
+    the nearest hand.
     """
     p, s, o = parameters[0], states[0], observations[0]
     if o.boxes_new and not p.predicted_elsewhere:
@@ -127,14 +135,17 @@ def see_hands(
 
 @inlined
 def hand_inside(parameters: ParameterRecords, states: StateRecords, track: int) -> bool:
-    """Return whether a tracked hand is within the critical distance, |h - t| < d_crit; True for NaN."""
+    """Return whether a tracked hand is within the critical distance, |h - t| < d_crit.
+
+    A NaN gives True.
+    """
     way_m = distance_to_tcp_m(states, states[0].predicted_hand_in_base_m[track])
     return not way_m >= parameters[0].critical_distance_m
 
 
 @inlined
 def distance_to_tcp_m(states: StateRecords, position_in_base_m: Array3) -> float:
-    """Return the distance [m] of ``position_in_base_m`` (3,), such as a predicted hand, from the TCP."""
+    """Return the distance [m] of ``position_in_base_m`` (3,) from the TCP."""
     s = states[0]
     total = 0.0
     for i in range(3):
@@ -147,13 +158,15 @@ def distance_to_tcp_m(states: StateRecords, position_in_base_m: Array3) -> float
 def decide_mode(
     parameters: ParameterRecords, states: StateRecords, tracks: TrackRecords, observations: ObservationRecords
 ) -> bool:
-    """Make the transitions that need no decision; if one is necessary, set the trigger and return True.
+    """Make the transitions that need no decision.
 
-    docs/reference/controller.md lists all transitions in a table.
+    If a decision is necessary, set the trigger and return True. The page docs/reference/controller.md lists
+    all transitions in a table.
     """
     p, s, o = parameters[0], states[0], observations[0]
     inside = s.nearest_track >= 0 and hand_inside(parameters, states, s.nearest_track)
     if inside:
+        # NaN keeps the comparison with the restart delay false while a hand is inside.
         s.clear_since_s = np.nan
     elif np.isnan(s.clear_since_s):
         s.clear_since_s = o.time_s
@@ -173,6 +186,7 @@ def decide_mode(
         elif inside and unknown_hand_inside(parameters, states, tracks):
             s.trigger = ANOTHER_HAND
             return True
+    # The last test, so that a stop or a retreat that ends in this tick can cause a decision at once.
     if s.mode == SERVOING or s.mode == OBJECT_LOST:
         if inside:
             s.trigger = HAND_ENTERED
@@ -197,7 +211,7 @@ def unknown_hand_inside(parameters: ParameterRecords, states: StateRecords, trac
 
 @njit_no_nrt
 def remember_hands(parameters: ParameterRecords, states: StateRecords, tracks: TrackRecords) -> None:
-    """Store which hands are within the critical distance at a decision."""
+    """Store which hands are within the critical distance at the time of a decision."""
     s = states[0]
     for i in range(tracks.shape[0]):
         is_inside = s.track_valid[i] and hand_inside(parameters, states, i)
@@ -212,9 +226,9 @@ def finish_tick(
     answers: AnswerRecords,  # (1,) ANSWER; read only if a decision is pending
     commands: CommandRecords,  # (1,) COMMAND
 ) -> None:
-    """Act on the answer, if a decision is pending, and command the arm for this tick.
+    """Act on the answer if a decision is pending, and command the arm for this tick.
 
-    The wanted twist comes from eq. 1 or from the path to the repulsive position, or is zero.
+    The wanted twist comes from eq. 1 or from the path to the repulsive position, or it is zero.
     """
     p, s, answer = parameters[0], states[0], answers[0]
     if s.decision_pending:
@@ -243,7 +257,10 @@ def finish_tick(
 
 @inlined
 def clip_joints(parameters: ParameterRecords, rates_radps: ArrayN) -> None:
-    """Cut joint speeds at their limits, since rounding may leave a scaled speed one float above."""
+    """Clip joint speeds to their limits.
+
+    Rounding may leave a scaled speed slightly above its limit.
+    """
     limit_radps = parameters[0].joint_velocity_limit_radps
     for i in range(rates_radps.shape[0]):
         if abs(rates_radps[i]) > limit_radps[i]:
@@ -259,13 +276,15 @@ def command_arm(
     acceleration_mps2: float,
     commands: CommandRecords,
 ) -> None:
-    """Command the joint velocities q' of the wanted twist, bounded by ``shaped``, by the present Jacobian J.
+    """Command the joint velocities q' for the wanted twist.
+
+    The function ``shaped`` limits the twist (v, w). With the present Jacobian J, the joint velocities are
 
         q' = k J^-1 (v, w),   k = min(1, min_i limit_i/|q'_i|),
 
-    so that a joint at its limit slows all joints down, and the TCP keeps its direction. ``clip_joints``
-    removes any excess by rounding. Near a singularity (``joint_velocity``) the function commands a protective
-    stop.
+    The factor k slows all joints down if one joint reaches its limit, so that the TCP keeps its direction.
+    ``clip_joints`` removes any excess that rounding causes. Near a singularity (``joint_velocity``) the
+    function commands a protective stop.
     """
     p, s, o, command = parameters[0], states[0], observations[0], commands[0]
     jacobian, wanted, twist = s.jacobian, s.wanted_twist_in_base, s.twist_in_base

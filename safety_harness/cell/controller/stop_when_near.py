@@ -1,4 +1,4 @@
-"""Define the simplest shipped controller: straight to the desired TCP, with a stop near a hand."""
+"""Define the simplest shipped controller, which moves straight to the desired TCP and stops near a hand."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ _GOING, _STOPPED = Report(mode=Mode.SERVOING), Report(mode=Mode.PROTECTIVE_STOP)
 
 
 class StopWhenNear:
-    """A controller that servoes by the encoders alone: v = g (t* - t), w = g r.
+    """A controller that servoes with the encoders alone.
 
-    t is the TCP's position, t* the desired position, r the rotation vector to the desired pose, and g the
-    settings' ``gain_far``. The controller stops while any hand in the sensor's last frame is within the
-    critical distance of the TCP.
+    The twist is v = g (t* - t), w = g r. Here t is the TCP's position, t* the desired position, r the
+    rotation vector to the desired pose, and g the settings' ``gain_far``. The controller stops while any hand
+    in the sensor's last frame is within the critical distance of the TCP.
     """
 
     name = "stop when near"
@@ -69,11 +69,13 @@ class StopWhenNear:
 
     @staticmethod
     def act_many(controllers: Sequence[StopWhenNear], seen: Mapping[str, NDArray[Any]]) -> Moves:
-        """Return the moves of all controllers, bit for bit as ``act`` returns each.
+        """Return the moves of all controllers.
+
+        Each move equals the result of ``act`` bit for bit.
 
         Args:
             controllers: The controllers (n,).
-            seen: The controllers' views, by name, with n rows each.
+            seen: The views of the controllers by name, each with n rows.
 
         """
         numbers = np.array([controller._numbers for controller in controllers])
@@ -91,13 +93,16 @@ class StopWhenNear:
 
 
 def _squared(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the squares (...,) of ``vectors`` (..., 3), bit for bit as ``product(v, v)``."""
+    """Return the squares of ``vectors`` (..., 3), shape (...,).
+
+    Each square equals ``product(v, v)`` bit for bit.
+    """
     squares: NDArray[np.float64] = (vectors * vectors).sum(axis=-1)
     return squares
 
 
 def _turn(transform_tcp_to_base: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rotation vector (3,) in the base frame from the TCP's orientation to straight down."""
+    """Return the rotation vector (3,) from the TCP's orientation to straight down, in the base frame."""
     x, y, z, _ = transform_tcp_to_base.tolist()  # of diag(1, -1, -1) R^T, of less than half a turn
     axis = np.array([0.5 * (z[1] - y[2]), 0.5 * (z[0] + x[2]), -0.5 * (x[1] + y[0])])
     sine = math.sqrt(product(axis, axis))
@@ -106,9 +111,9 @@ def _turn(transform_tcp_to_base: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _turns(transforms_tcp_to_base: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rotation vectors (n, 3) of transforms (n, 4, 4), bit for bit as ``_turn``.
+    """Return the rotation vectors (n, 3) of transforms (n, 4, 4).
 
-    Both functions compute each angle by the same function.
+    Each vector equals the result of ``_turn`` bit for bit. Both functions compute an angle in the same way.
     """
     x, y, z = (transforms_tcp_to_base[:, row] for row in range(3))
     halves = 0.5 * (z[:, 1] - y[:, 2]), 0.5 * (z[:, 0] + x[:, 2]), -0.5 * (x[:, 1] + y[:, 0])

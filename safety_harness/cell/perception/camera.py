@@ -1,7 +1,7 @@
 """Model the eye-in-hand camera: a pinhole without distortion, its mount, and its view of the object.
 
-Normalised coordinates are x = X/Z, y = Y/Z. Pixels are u = f x + c_u, v = f y + c_v. The centre of pixel (0,
-0) has the coordinates (0, 0) (docs/reference/conventions.md).
+Normalised coordinates are x = X/Z, y = Y/Z. Pixels are u = f x + c_u, v = f y + c_v. The centre of pixel
+(0, 0) has the coordinates (0, 0) (docs/reference/conventions.md).
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ BORDER_PX = 1.0  # the image may crop an object that comes nearer to its border
 
 @njit_no_nrt
 def principal_point_px(width_px: int, height_px: int) -> tuple[float, float]:
-    """Return (c_u, c_v), the middle of the image, where pixel centres are integers."""
+    """Return the middle of the image (c_u, c_v), in coordinates in which pixel centres are integers."""
     return 0.5 * (width_px - 1), 0.5 * (height_px - 1)
 
 
 def transform_camera_to_tcp(camera: Camera, *, calibrated: bool) -> NDArray[np.float64]:  # (4, 4)
-    """Return the camera's mount on the flange, T = (R_z(yaw), offset), as it is or as calibrated.
+    """Return the camera's mount on the flange, which is either the true or the calibrated mount.
 
-    ``calibrated=False`` gives the true mount of ``camera``. ``calibrated=True`` gives the result of the
-    hand-eye calibration, which the controller assumes: (R_z(yaw) R(error), offset + error's offset). This is
-    the true mount, turned by the calibration error's rotation vector (camera frame) and shifted by the
-    error's offset (TCP frame).
+    ``calibrated=False`` gives the true mount T = (R_z(yaw), offset) of ``camera``. ``calibrated=True`` gives
+    the result of the hand-eye calibration, which the controller assumes: (R_z(yaw) R(error), offset + error's
+    offset). The calibrated mount is the true mount after a rotation and a shift. The calibration error
+    contains the rotation vector (camera frame) and the shift (TCP frame).
     """
     rotation = rotation_from_vector(np.array([0.0, 0.0, camera.mount_yaw_rad]))
     offset_in_tcp = np.array(camera.mount_offset_in_tcp_m)
@@ -47,9 +47,10 @@ def polygon_in_camera(
     transform_object_to_camera: NDArray[np.float64],  # (4, 4)
     out: NDArray[np.float64],  # (n, 3)
 ) -> None:
-    """Fill ``out`` with the vertices of a flat object in the camera frame [m]: R (x, y, 0) + t.
+    """Fill ``out`` with the vertices of a flat object in the camera frame [m].
 
-    (R, t) is ``transform_object_to_camera``, and (x, y) a vertex.
+    A vertex (x, y) has the position R (x, y, 0) + t in this frame. Here (R, t) is
+    ``transform_object_to_camera``.
     """
     t = transform_object_to_camera
     for k in range(polygon_m.shape[0]):
@@ -62,13 +63,17 @@ def object_plane(
     transform_object_to_camera: NDArray[np.float64],  # (4, 4)
     out: NDArray[np.float64],  # (3,)
 ) -> bool:
-    """Fill ``out`` with (A, B, C) of the object's plane 1/Z = A x + B y + C [1/m] in the camera frame.
+    """Fill ``out`` with the coefficients (A, B, C) [1/m] of the object's plane in the camera frame.
 
-    With the plane's normal n and a point p of the plane, n . X = n . p. Division by Z n . p gives the
-    equation. Return False if the plane goes through the centre of projection. The camera then sees the plane
-    as a line.
+    The plane has the equation 1/Z = A x + B y + C.
+
+    A point X of the plane fulfils dot(n, X) = dot(n, p), in which n is the plane's normal and p a point of
+    the plane. Division by Z dot(n, p) gives the equation. Return False if the plane goes through the centre
+    of projection. The camera then sees the plane as a line.
     """
     t = transform_object_to_camera
+    # The third column of t is the plane's normal n, so this is dot(n, p). It is 0 if the camera sees the
+    # plane edge-on.
     distance_m = t[0, 2] * t[0, 3] + t[1, 2] * t[1, 3] + t[2, 2] * t[2, 3]
     for k in range(3):
         out[k] = t[k, 2] / distance_m
@@ -80,7 +85,10 @@ def project(
     points_in_camera: NDArray[np.float64],  # (n, 3)
     normalised_out: NDArray[np.float64],  # (n, 2)
 ) -> bool:
-    """Project points by x = X/Z, y = Y/Z; return False unless every point is beyond the near plane."""
+    """Project points by x = X/Z, y = Y/Z.
+
+    Return False unless every point is beyond the near plane.
+    """
     for k in range(points_in_camera.shape[0]):
         depth_m = points_in_camera[k, 2]
         if not depth_m > NEAR_PLANE_M:  # also for NaN
@@ -97,11 +105,11 @@ def polygon_inside_image(
     width_px: int,
     height_px: int,
 ) -> bool:
-    """Return whether every vertex is at least a pixel inside the image's border.
+    """Return whether every vertex is at least one pixel inside the image's border.
 
-    A vertex is at u = f x + c_u, v = f y + c_v. If the border crops a triangle parallel to one of its sides,
-    the rest is a similar triangle. The invariants gamma and delta do not change then, so this test is
-    necessary. A NaN counts as outside.
+    A vertex is at u = f x + c_u, v = f y + c_v. Suppose that the border cuts a triangle along a line parallel
+    to a side. The triangle that remains may be similar to the whole triangle. The invariants gamma and delta
+    are then the same for both, so this test is necessary. A NaN counts as outside.
     """
     c_u, c_v = principal_point_px(width_px, height_px)
     for k in range(normalised.shape[0]):

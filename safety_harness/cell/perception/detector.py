@@ -1,8 +1,9 @@
-"""Detect the bounding boxes of hands in a colour and a depth image, also by a user's detector.
+"""Detect the bounding boxes of hands in a colour image and a depth image.
 
-The paper's detector is a YOLO network. The detector here needs no network, because the simulator paints only
-its hands in the colour of skin. Any object with a ``detect`` method like that of ``BoundingBoxDetector`` can
-replace it, such as a YOLO network exported to ONNX:
+A user's detector can replace the detector of this module. The paper's detector is a YOLO network. The
+detector here needs no network, because the simulator paints only its hands in the colour of skin. Any object
+with the method ``detect`` of ``BoundingBoxDetector`` can replace it, for example a YOLO network in an ONNX
+file:
 
     class YoloDetector:
         def __init__(self, file: Path) -> None:
@@ -17,12 +18,13 @@ replace it, such as a YOLO network exported to ONNX:
                 rows.append((u_px, v_px, z_m, width * height, width / height))
             return np.array(rows).reshape(-1, 5)
 
-Note the half pixel: ``left`` and ``right`` are edges here, as most networks give them. Edge 0 is the boundary
-before pixel 0, whose *centre* is at u = 0. A detector should keep no state from frame to frame. The tracks
-keep the state, so that you can repeat a run.
+In this example, ``left`` and ``right`` are edges, as in the output of most networks. An edge is half a pixel
+away from the centre of a pixel. Edge 0 is the boundary before pixel 0, and the *centre* of pixel 0 is at u =
+0. A detector should keep no state from frame to frame. The tracks keep the state, so that a run is
+repeatable.
 
 The module finds the object's pixels by a threshold, as the paper does (OpenCV). Only the object is nearly
-black; the table is light. A pixel is black if it is dark in *every* colour channel, so the order of the
+black, and the table is light. A pixel is black if it is dark in *every* colour channel, so the order of the
 channels does not matter. A blue sleeve has a low brightness but a high blue value, so it does not count as
 black.
 """
@@ -58,8 +60,8 @@ OBJECT_BRIGHTEST = 60
 # from 3 m.
 OBJECT_SMALLEST_PX = 200
 
-MINIMUM_AREA_PX = 50
-DEPTH_SAMPLES = 9
+MINIMUM_AREA_PX = 50  # a choice: a smaller area is a speck and no hand
+DEPTH_SAMPLES = 9  # a window of 3 x 3 pixels
 
 
 class BoundingBoxDetector(Protocol):
@@ -73,7 +75,7 @@ class BoundingBoxDetector(Protocol):
         """Return the boxes (k, 5) of all hands, with the columns u_px, v_px, z_m, area_px2, width/height.
 
         Integer coordinates are pixel centres. z_m is the depth of the surface at the box's centre. The
-        harness ignores rows without a finite, positive depth; k may be 0.
+        harness ignores rows without a finite, positive depth. The number of rows k may be 0.
 
         Args:
             colour: The colour image.
@@ -84,7 +86,10 @@ class BoundingBoxDetector(Protocol):
 
 
 def opencv() -> Any:
-    """Return the module cv2, which only rendered images need; raise ``MissingPackageError`` without it."""
+    """Return the module cv2, which only rendered images need.
+
+    Raise ``MissingPackageError`` if OpenCV is not installed.
+    """
     with IMAGES.needed("rendered images"):
         import cv2
     return cv2
@@ -93,8 +98,7 @@ def opencv() -> Any:
 class SkinColourDetector:
     """A detector that takes connected skin-coloured areas for hands.
 
-    A hand behind something narrow gives two boxes. So the detector then reports one hand too many, not too
-    few.
+    A hand behind a narrow object gives two boxes. The detector then reports one hand too many, not too few.
     """
 
     def __init__(self, most: int = 4) -> None:
@@ -108,9 +112,9 @@ class SkinColourDetector:
         """Return the boxes of up to ``most`` skin-coloured areas of at least ``MINIMUM_AREA_PX``.
 
         The largest area comes first. The method leaves out areas without a known depth. Among the area's
-        pixels with a known depth, it takes the nine that are nearest to the box's centre. The depth is the
-        median of these nine. They form the 3 x 3 window around the centre, unless part of this window is
-        hidden or has no depth.
+        pixels with a known depth, the method takes the nine that are nearest to the box's centre. The depth
+        is the median of these nine. These pixels form the 3 x 3 window around the centre, unless part of this
+        window is hidden or has no depth.
 
         Args:
             colour: The colour image.
@@ -138,10 +142,11 @@ class SkinColourDetector:
 def _depth_near(
     area: NDArray[np.bool_], depth_m: NDArray[np.float64], u_px: float, v_px: float
 ) -> float | None:
-    """Return the median depth [m] of the ``DEPTH_SAMPLES`` pixels of ``area`` that are nearest to (u, v).
+    """Return the median depth [m] of the pixels in ``area`` that are nearest to (u, v), or None.
 
-    Only pixels with a known depth count. ``area`` is (h, w). ``depth_m`` (h, w) is 0 or not finite where the
-    depth is unknown. Return None if it is unknown in the whole area.
+    The function uses the ``DEPTH_SAMPLES`` nearest pixels with a known depth. ``area`` has the shape (h, w).
+    ``depth_m`` (h, w) is 0 or not finite where the depth is unknown. Return None if the depth is unknown in
+    the whole area.
     """
     v, u = np.nonzero(area & np.isfinite(depth_m) & (depth_m > 0.0))
     if u.size == 0:
@@ -153,7 +158,8 @@ def _depth_near(
 def copy_detections(boxes: NDArray[np.float64], boxes_out: NDArray[np.float64]) -> int:
     """Copy a detector's result into ``boxes_out`` (n, 5) and return the number of rows.
 
-    Of more than n boxes, the function keeps the n largest in the image, in the detector's order.
+    If the detector reports more than n boxes, the function keeps the n largest in the image, in the
+    detector's order.
 
     Args:
         boxes: The detector's result (k, 5).
@@ -178,11 +184,12 @@ def copy_detections(boxes: NDArray[np.float64], boxes_out: NDArray[np.float64]) 
 
 
 def object_mask(colour: NDArray[np.uint8]) -> NDArray[np.uint8]:  # (h, w, 3) -> (h, w)
-    """Return 1 on the object's pixels and 0 on the rest; all 0 if no complete object is in view.
+    """Return a mask with 1 on the object's pixels and 0 elsewhere.
 
-    The object is the largest connected black region that does not touch the image border. The border may have
-    cropped a region that touches it, and a cropped triangle can have the features of a whole triangle. The
-    function does not notice a hand in front of the object, which cuts the region or changes its shape.
+    The mask is 0 everywhere if no complete object is in view. The object is the largest connected black
+    region that does not touch the image border. The border may have cropped a region that touches it, and a
+    cropped triangle can have the features of a whole triangle. A hand in front of the object may cut the
+    region or change its shape, and the function does not detect this.
     """
     cv2 = opencv()
     black = cv2.inRange(colour, (0, 0, 0), (OBJECT_BRIGHTEST,) * 3)

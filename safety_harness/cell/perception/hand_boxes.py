@@ -17,20 +17,24 @@ from safety_harness.base.geometry.segments import point_segment_distance, segmen
 from safety_harness.base.settings import DetectorKind, HandSensor
 from safety_harness.cell.perception.camera import principal_point_px
 
-BOX_LENGTH = 5
+BOX_LENGTH = 5  # u, v, z, area, aspect ratio: the measurement of eq. 7
 
 
 def rendered_principal_point_px(width_px: int, height_px: int) -> tuple[float, float]:
     """Return the principal point (c_u, c_v) of PyBullet's software renderer with a symmetric projection.
 
-    The renderer samples pixel (i, j) at the pixel's lower left corner instead of its centre. Then it turns
-    the image upside down. This gives (w/2, h/2 - 1), whereas an exact camera has ((w - 1)/2, (h - 1)/2).
+    The renderer samples pixel (i, j) at the pixel's lower left corner instead of its centre. The renderer
+    then turns the image upside down. The principal point is then (w/2, h/2 - 1), whereas an exact camera has
+    ((w - 1)/2, (h - 1)/2).
     """
     return width_px / 2.0, height_px / 2.0 - 1.0
 
 
 def sensor_principal_point_px(sensor: HandSensor) -> tuple[float, float]:
-    """Return the principal point (c_u, c_v) of the images, exact or rendered, that ``sensor`` takes."""
+    """Return the principal point (c_u, c_v) of a sensor's images.
+
+    The images are either exact or rendered.
+    """
     if sensor.detector is DetectorKind.RENDERED:
         return rendered_principal_point_px(sensor.width_px, sensor.height_px)
     return principal_point_px(sensor.width_px, sensor.height_px)
@@ -38,11 +42,11 @@ def sensor_principal_point_px(sensor: HandSensor) -> tuple[float, float]:
 
 @njit_no_nrt
 def _front_depth(centre: NDArray[np.float64], radius_m: float, x: float, y: float) -> float:
-    """Return the depth [m] at which the ray d = (x, y, 1) enters the sphere about ``centre`` (3,), or NaN.
+    """Return the depth [m] at which the ray d = (x, y, 1) enters a sphere, or NaN if the ray misses it.
 
-    The depth is the smaller root Z of |Z d - C|^2 = r^2 with C the centre and r the radius. The function
-    computes it as (|C|^2 - r^2)/(d . C + sqrt((d . C)^2 - |d|^2 (|C|^2 - r^2))). A ray that misses the sphere
-    gives NaN.
+    The sphere has the centre C = ``centre`` (3,) and the radius r. The depth is the smaller root Z of |Z d -
+    C|^2 = r^2. The function computes the depth as (|C|^2 - r^2)/(b + sqrt(b^2 - |d|^2 (|C|^2 - r^2))) with b
+    = dot(d, C). A sphere behind the camera also gives NaN.
     """
     ray_squared = x * x + y * y + 1.0
     along = x * centre[0] + y * centre[1] + centre[2]
@@ -64,15 +68,16 @@ def sphere_box(
     c_v: float,
     box_out: NDArray[np.float64],  # (5,)
 ) -> bool:
-    """Fill ``box_out`` with the bounding box of a sphere's image, without regard to the image's border.
+    """Fill ``box_out`` with the bounding box of a sphere in an image.
 
-    The image of a sphere is an ellipse. The planes at the ellipse's left and right ends contain the camera's
-    y axis and touch the sphere, so that |X - x Z| = r sqrt(1 + x^2):
+    The border of the image does not limit the box. The image of a sphere is an ellipse. The planes at the
+    ellipse's left and right ends contain the camera's y axis and touch the sphere. So |X - x Z| = r
+    sqrt(1 + x^2), which gives
 
-        x = (X Z +- r sqrt(X^2 + Z^2 - r^2)) / (Z^2 - r^2).
+        x = (X Z +- r sqrt(X^2 + Z^2 - r^2)) / (Z^2 - r^2)
 
-    The same equation with Y gives the upper and lower ends. The box's depth is where the ray through its
-    centre enters the sphere.
+    The same equation with Y gives the upper and lower ends. The depth of the box is the depth at which the
+    ray through the box's centre enters the sphere.
 
     Return whether the whole sphere is in front of the camera's plane (Z > r) and all numbers are finite. Z >
     r also means that the camera is outside the sphere. If the result is False, the function does not change
@@ -86,6 +91,7 @@ def sphere_box(
     half_width = radius_m * sqrt(x_m * x_m + tangent_squared) / tangent_squared
     half_height = radius_m * sqrt(y_m * y_m + tangent_squared) / tangent_squared
     depth_m = _front_depth(centre_in_camera, radius_m, x, y)
+    # Very large numbers may overflow on the way; the caller must not see a half-filled box.
     if not (isfinite(depth_m) and isfinite(half_width) and isfinite(half_height)):
         return False
     box_out[0] = focal_px * x + c_u
@@ -107,7 +113,7 @@ def box_in_image(
     height_px: float,
     box: NDArray[np.float64],  # (5,), changed in place
 ) -> bool:
-    """Cut the box of ``sphere_box`` at the border of the image, and return whether the hand is visible.
+    """Clip the box of ``sphere_box`` at the border of the image, and return whether the hand is visible.
 
     A hand is visible if the sphere's *centre* projects into the image, because a detector finds half a hand,
     but not a sliver. The function replaces a visible box by its part within the image, as a detector would
@@ -115,11 +121,12 @@ def box_in_image(
     centre. A box wholly inside the image stays the same, bit for bit.
 
     If the hand is not visible, ``box`` does not change. A hand is also not visible if the ray through the new
-    centre misses the sphere, because a depth camera would read the background there. This happens only with a
-    field of view above 130 degrees.
+    centre misses the sphere, because a depth camera would read the background there. The ray can miss the
+    sphere only with a field of view above 130 degrees.
     """
     u_centre = focal_px * centre_in_camera[0] / centre_in_camera[2] + c_u
     v_centre = focal_px * centre_in_camera[1] / centre_in_camera[2] + c_v
+    # The image reaches half a pixel beyond the centres of its border pixels.
     inside_u = u_centre >= -0.5 and u_centre <= width_px - 0.5
     inside_v = v_centre >= -0.5 and v_centre <= height_px - 0.5
     if not (inside_u and inside_v):
@@ -127,6 +134,7 @@ def box_in_image(
     half_width, half_height = 0.5 * sqrt(box[3] * box[4]), 0.5 * sqrt(box[3] / box[4])
     left, right = box[0] - half_width, box[0] + half_width
     top, bottom = box[1] - half_height, box[1] + half_height
+    # To compute the box again from its edges would round it.
     if left >= -0.5 and right <= width_px - 0.5 and top >= -0.5 and bottom <= height_px - 0.5:
         return True
     left, right = max(left, -0.5), min(right, width_px - 0.5)
@@ -190,16 +198,16 @@ def position_from_box(
 
         (X, Y, Z) = (x, y, 1) (z + r/sqrt(x^2 + y^2 + 1)),   x = (u - c_u)/f,   y = (v - c_v)/f
 
-    This is the pinhole conversion of section 3.2. Take a sphere of radius r at depth Z, at the angle theta to
-    the optical axis. The centre of its box is farther out in the image than the projection of the sphere's
-    centre. The ray therefore misses the sphere's centre by
+    The formula is the pinhole conversion of section 3.2. Let a sphere of radius r be at depth Z, at the angle
+    theta from the optical axis. The centre of its box is farther out in the image than the projection of the
+    sphere's centre. The ray therefore misses the sphere's centre by
 
-        e <= sin(theta) r^2 Z / (Z^2 - r^2).
+        e <= sin(theta) r^2 Z / (Z^2 - r^2)
 
-    The distance of the result from the true centre is sqrt(2 r (r - sqrt(r^2 - e^2))). This is e to first
-    order, and zero on the axis. In the corner of a 640 x 480 image with f = 615 px and r = 60 mm, this is
-    about 2.0 mm at Z = 1 m and 6.7 mm at Z = 0.3 m. The error of the assumed radius adds to this along the
-    ray.
+    The distance of the result from the true centre is sqrt(2 r (r - sqrt(r^2 - e^2))). To first order, this
+    distance is e, and it is zero on the axis. Consider the corner of a 640 x 480 image with f = 615 px and r
+    = 60 mm. The distance there is about 2.0 mm at Z = 1 m and 6.7 mm at Z = 0.3 m. An error of the assumed
+    radius adds to this distance along the ray.
     """
     x, y, z = place_of_pixel(box[0], box[1], box[2], focal_px, c_u, c_v, assumed_radius_m)
     position_in_camera_out[0] = x
@@ -211,7 +219,7 @@ def position_from_box(
 def place_of_pixel(
     u_px: float, v_px: float, z_m: float, focal_px: float, c_u: float, c_v: float, assumed_radius_m: float
 ) -> tuple[float, float, float]:
-    """Return the position (X, Y, Z) [m] of ``position_from_box`` in the camera frame."""
+    """Return the position (X, Y, Z) [m] in the camera frame that ``position_from_box`` computes."""
     x, y = (u_px - c_u) / focal_px, (v_px - c_v) / focal_px
     depth_m = z_m + assumed_radius_m / sqrt(x * x + y * y + 1.0)
     return x * depth_m, y * depth_m, depth_m

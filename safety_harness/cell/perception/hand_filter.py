@@ -1,10 +1,10 @@
 """Filter a hand's bounding box by a Kalman filter (eq. 7 of the paper), on compiled records.
 
-The state is x = (u, v, z, area, aspect, u', v', z', area'). A measurement is a box, the first five entries.
-The values and rates of u, v, z and the area form four pairs; the aspect ratio has no rate. Initial and
-measurement covariances are diagonal, and the noise acts on each pair separately. So the filter of nine states
-separates *exactly* into four filters of two states and a filter of one state. Therefore a track stores only 4
-x 3 + 1 numbers of its covariance, and the filter inverts no matrix.
+The state is x = (u, v, z, area, aspect, u', v', z', area'). A measurement is a box, which contains the first
+five entries. The quantities u, v, z and the area form four pairs of a value and its rate. The aspect ratio
+has no rate. Initial and measurement covariances are diagonal, and the noise acts on each pair separately. So
+the filter of nine states separates *exactly* into four filters of two states and a filter of one state.
+Therefore a track stores only 4 x 3 + 1 numbers of its covariance, and the filter inverts no matrix.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def filter_parameters(hand_filter: HandFilter, hand_sensor: HandSensor) -> NDArr
 
     Args:
         hand_filter: The filter's settings.
-        hand_sensor: The sensor, for its focal length and principal point.
+        hand_sensor: The sensor, with its focal length and principal point.
 
     Raises:
         SettingsError: A setting has a value for which the filter is not defined.
@@ -112,7 +112,10 @@ def filter_parameters(hand_filter: HandFilter, hand_sensor: HandSensor) -> NDArr
 
 
 def _require(settings: HandFilter | HandSensor, names: tuple[str, ...], *, zero_allowed: bool) -> None:
-    """Raise ``SettingsError`` unless the settings ``names`` are finite and positive, or zero if allowed."""
+    """Raise ``SettingsError`` unless the settings in ``names`` are finite and positive.
+
+    If ``zero_allowed`` is True, they may also be zero.
+    """
     for name in names:
         value = getattr(settings, name)
         if not (isfinite(value) and (value >= 0.0 if zero_allowed else value > 0.0)):
@@ -125,11 +128,12 @@ def _require(settings: HandFilter | HandSensor, names: tuple[str, ...], *, zero_
 
 @njit_no_nrt
 def initialise(track: np.void, box: NDArray[np.float64], time_s: float, parameters: np.void) -> None:
-    """Start ``track``, a ``TRACK`` record, at rest at ``box`` (5,), seen at ``time_s``: x = (box, 0).
+    """Start ``track``, a record TRACK, with the state x = (box, 0).
 
-    The values are as uncertain as a measurement; the settings state the uncertainty of the rates. The area's
-    rate has no setting of its own. The area is proportional to 1/z^2, hence area' = -2 (area/z) z'. So the
-    initial standard deviation of area' is the deviation of z' times 2 area/z. The caller sets the id.
+    ``box`` (5,) is the bounding box that the sensor measured at ``time_s``. The values are as uncertain as a
+    measurement. The settings state the uncertainty of the rates. The area's rate has no setting of its own.
+    The area is proportional to 1/z^2, hence area' = -2 (area/z) z'. So the initial standard deviation of
+    area' is the deviation of z' times 2 area/z. The caller sets the id of the track.
     """
     mean, covariance = track["mean"], track["pair_covariance"]
     for i in range(5):
@@ -150,7 +154,10 @@ def initialise(track: np.void, box: NDArray[np.float64], time_s: float, paramete
 
 @njit_no_nrt
 def predict(track: np.void, dt_s: float, parameters: np.void) -> None:
-    """Advance a track by ``dt_s`` >= 0: add dt rate to each value, and call ``wait`` for the uncertainty."""
+    """Advance a track by ``dt_s`` >= 0.
+
+    The function adds dt times the rate to each value, and calls ``wait`` for the covariance.
+    """
     mean = track["mean"]
     for i in range(PAIRS):
         mean[i] += dt_s * mean[5 + i]
@@ -159,15 +166,16 @@ def predict(track: np.void, dt_s: float, parameters: np.void) -> None:
 
 @njit_no_nrt
 def wait(track: np.void, dt_s: float, parameters: np.void) -> None:
-    """Advance a track's clock and covariance by ``dt_s`` >= 0 without a change of its mean.
+    """Advance the time and the covariance of a track by ``dt_s`` >= 0, without a change of its mean.
 
     The covariance P of each pair becomes F P F' + Q with F = ((1, dt), (0, 1)). For u, v and z, Q is s^2
-    ((dt^4/4, dt^3/2), (dt^3/2, dt^2)). This assumes an acceleration of deviation s that is constant during a
-    step and independent between steps (piecewise white). For the area, Q is q ((dt^3/3, dt^2/2), (dt^2/2,
-    dt)), which assumes a rate on a random walk of density q.
+    ((dt^4/4, dt^3/2), (dt^3/2, dt^2)). This noise assumes piecewise white acceleration: it has the standard
+    deviation s, is constant during a step, and is independent between steps. For the area, Q is q ((dt^3/3,
+    dt^2/2), (dt^2/2, dt)), which assumes a rate on a random walk of density q.
     """
     covariance = track["pair_covariance"]
     for i in range(PAIRS):
+        # F P F^T of one pair. The value comes first, because it needs the covariance before this step.
         covariance[i, 0] += dt_s * (2.0 * covariance[i, 1] + dt_s * covariance[i, 2])
         covariance[i, 1] += dt_s * covariance[i, 2]
     squared = dt_s * dt_s
@@ -185,11 +193,11 @@ def wait(track: np.void, dt_s: float, parameters: np.void) -> None:
 
 @njit_no_nrt
 def update(track: np.void, box: NDArray[np.float64], parameters: np.void) -> None:
-    """Correct a track by ``box`` (5,), seen at the time of its state.
+    """Correct a track with ``box`` (5,), which was measured at the time of the track's state.
 
     For each pair, x <- x + K (z - H x) with H = (1, 0) and the measurement z of variance R. The gain is K =
-    (P00, P01)/S with S = P00 + R. The covariance becomes P00 R/S, P01 R/S, P11 - P01^2/S. This is Joseph's
-    form multiplied out, which is symmetric by construction.
+    (P00, P01)/S with S = P00 + R. The covariance becomes P00 R/S, P01 R/S, P11 - P01^2/S. These formulas
+    result from multiplying out Joseph's form, which is symmetric by construction.
     """
     mean, covariance = track["mean"], track["pair_covariance"]
     for i in range(PAIRS):
@@ -199,6 +207,7 @@ def update(track: np.void, box: NDArray[np.float64], parameters: np.void) -> Non
         value_gain, rate_gain = covariance[i, 0] / total, covariance[i, 1] / total
         mean[i] += value_gain * innovation
         mean[5 + i] += rate_gain * innovation
+        # The rate's variance comes first, because it needs the old covariance of value and rate.
         covariance[i, 2] -= rate_gain * covariance[i, 1]
         covariance[i, 0] = value_gain * noise
         covariance[i, 1] = rate_gain * noise

@@ -1,9 +1,12 @@
-"""Compute image moments up to order six, of a polygon in closed form and of a set of points.
+"""Compute image moments up to order six.
+
+A closed form gives the moments of a polygon, and a sum gives the moments of a set of points.
 
 A *moment vector* is a float64 array (31,): m00, the centroid xg, yg, then the 28 centred moments. A centred
-moment mu_ij is the integral (or sum) of (x - xg)^i (y - yg)^j, with i + j <= 6. The moments are in rising
-order i + j and, within an order, in rising j. Coordinates are normalised image coordinates. The invariants
-gamma and delta are of order five, and the interaction matrix needs one order more. So order six is necessary.
+moment mu_ij is the integral (or sum) of (x - xg)^i (y - yg)^j, with i + j <= 6. The moments are sorted by
+their order i + j. Moments of the same order are sorted by j. Coordinates are normalised image coordinates.
+The invariants gamma and delta are of order five, and the interaction matrix needs one order more. So order
+six is necessary.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ from numpy.typing import NDArray
 
 from safety_harness.base.compiled import inlined, njit_no_nrt
 
+# Records, traces and the interaction matrix have this layout: m00, xg, yg, then 28 centred moments.
 MAX_ORDER = 6
 M00, XG, YG = 0, 1, 2
 FIRST_MU = 3
@@ -51,15 +55,15 @@ def polygon_moments(
     vertices: NDArray[np.float64],  # (n, 2), normalised
     out: NDArray[np.float64],  # (31,)
 ) -> bool:
-    """Fill ``out`` with the moments of the region inside a simple polygon, exact to rounding.
+    """Fill ``out`` with the moments of the region inside a simple polygon, exact up to rounding.
 
     m00 is the polygon's (positive) area. The function applies Green's theorem about the centroid. For a
     homogeneous integrand of order o, the theorem gives
 
-        (o + 2) mu_ij = sum over edges p -> q of (p x q) * integral_0^1 x(t)^i y(t)^j dt.
+        (o + 2) mu_ij = sum over edges p -> q of (p x q) * integral_0^1 x(t)^i y(t)^j dt
 
     The four-point Gauss-Legendre rule is exact for these integrals. The polygon may be clockwise or
-    anticlockwise. Return False, with ``out`` all NaN, if the polygon has no area or is not finite.
+    anticlockwise. If the polygon has no area or is not finite, return False and fill ``out`` with NaN.
     """
     n = vertices.shape[0]
     x0, y0 = vertices[0, 0], vertices[0, 1]  # relative to a vertex, to avoid cancellation
@@ -80,6 +84,8 @@ def polygon_moments(
     out[:] = 0.0
     sign = 1.0 if twice_area > 0.0 else -1.0
     for k in range(n):
+        # Each edge spans a triangle with the centroid, whose doubled area is ``cross``. The sign makes m00
+        # positive for both windings, where ViSP returns a negative area for one.
         following = k + 1 if k + 1 < n else 0
         px, py = vertices[k, 0] - xg, vertices[k, 1] - yg
         qx, qy = vertices[following, 0] - xg, vertices[following, 1] - yg
@@ -89,6 +95,7 @@ def polygon_moments(
             add_powers(px + t * (qx - px), py + t * (qy - py), cross * _WEIGHTS[node], out)
     for order in range(MAX_ORDER + 1):
         for j in range(order + 1):
+            # The radial integral of a homogeneous integrand of this order gives 1/(order + 2).
             out[mu_index(order - j, j)] /= order + 2.0
     return _finish(xg, yg, out)
 
@@ -100,8 +107,8 @@ def point_moments(
 ) -> bool:
     """Fill ``out`` with the moments of a set of points: mu_ij = sum_k (x_k - x_g)^i (y_k - y_g)^j (eq. 6).
 
-    The points are the *discrete* object of the paper. m00 is their number n, and (x_g, y_g) their mean.
-    Return False, with ``out`` all NaN, if there are no points or some are not finite.
+    The points are the *discrete* object of the paper. m00 is their number n, and (x_g, y_g) their mean. If
+    there are no points or some are not finite, return False and fill ``out`` with NaN.
     """
     n = points.shape[0]
     sum_x, sum_y = 0.0, 0.0
@@ -117,13 +124,15 @@ def point_moments(
 
 @inlined
 def _finish(xg: float, yg: float, out: NDArray[np.float64]) -> bool:
-    """Complete ``out`` (31,): write m00 and the centroid, and mu_10 = mu_01 = 0, which holds by definition.
+    """Complete the moment vector ``out`` (31,).
 
-    Return False, with ``out`` all NaN, if a number is not finite.
+    The function writes m00 and the centroid, and sets mu_10 and mu_01 to 0, which is their value by
+    definition. If a number is not finite, return False and fill ``out`` with NaN.
     """
     out[M00] = out[FIRST_MU]
     out[XG] = xg
     out[YG] = yg
+    # Rounding would leave tiny numbers here, although the centroid makes them 0.
     out[mu_index(1, 0)] = 0.0
     out[mu_index(0, 1)] = 0.0
     for k in range(MOMENT_COUNT):

@@ -1,15 +1,15 @@
-"""Compute the box about a hand's predicted position in which the hand is with a stated probability.
+"""Compute a box around a hand's predicted position that contains the hand with a given probability.
 
-The filter's u, v and z of all hands are n = 3 x hands independent numbers. Each is within k standard
+For h hands, the filter's values u, v and z are n = 3 h independent numbers. Each number is within k standard
 deviations of its mean with the probability P^(1/n). Here k = q((1 + P^(1/n))/2), where q is the normal
-quantile. So all n numbers together are within k with probability P. If the filter extrapolates by t, the
-variance is
+quantile. So all n numbers are simultaneously within k standard deviations with the probability P. If the
+filter extrapolates by t, the variance is
 
     P00 + 2 t P01 + t^2 P11 + t^4/4 s^2
 
-(``hand_filter.wait``). From the intervals of u, v and z, interval arithmetic computes those of X = x D, Y = y
-D and D. Here D = z + r/sqrt(x^2 + y^2 + 1). The result is a box along the base's axes. The module assumes,
-without a check, that the filter's covariance is right.
+(``hand_filter.wait``). Interval arithmetic computes the intervals of X = x D, Y = y D and D from the
+intervals of u, v and z. Here D = z + r/sqrt(x^2 + y^2 + 1). The result is a box along the base's axes. The
+module assumes, without a check, that the filter's covariance is right.
 """
 
 from __future__ import annotations
@@ -30,11 +30,12 @@ def possible_half_widths_m(
     transform_sensor_to_base: Floats,
     probability: float,
 ) -> Floats:
-    """Return the half widths (k, 3) [m], along the base's axes, of the boxes of the k valid tracks.
+    """Return the half widths of the boxes of the k valid tracks, along the base's axes, shape (k, 3) [m].
 
-    The centre of a box is the position that ``predict_positions`` gives for ``at_time_s``. Every hand is in
-    its box with this ``probability``. ``tracks`` (n,) TRACK, ``parameters`` (1,) FILTER_PARAMETERS,
-    ``transform_sensor_to_base`` (4, 4).
+    The centre of a box is the position that ``predict_positions`` computes for ``at_time_s``. All hands are
+    simultaneously in their boxes with the probability ``probability``. ``tracks`` (n,) contains records
+    TRACK, ``parameters`` (1,) is a record FILTER_PARAMETERS, and ``transform_sensor_to_base`` (4, 4) is the
+    pose of the sensor.
     """
     valid, p = tracks[tracks["valid"]], parameters[0]
     if len(valid) == 0:
@@ -54,9 +55,10 @@ def possible_half_widths_m(
 
 
 def _ends_in_sensor_m(middle: Floats, half: Floats, parameters: np.void) -> Floats:
-    """Return the least and greatest X, Y, Z [m], (k, 3, 2), of all (u, v, z) within ``half`` of ``middle``.
+    """Return the least and the greatest X, Y and Z [m] of all (u, v, z) near ``middle``, shape (k, 3, 2).
 
-    ``middle`` and ``half`` are (k, 3).
+    The entries of (u, v, z) differ from ``middle`` by at most ``half``. ``middle`` and ``half`` have the
+    shape (k, 3).
     """
     p = parameters
     pixels = np.stack([middle - half, middle + half], axis=2)[:, :2] - [[p["c_u"]], [p["c_v"]]]

@@ -2,7 +2,7 @@
 
 A pixel belongs to the object if its *centre* is inside the object. Each pixel stands for the area 1/f^2 of
 the normalised image, so the sums converge to the integrals of ``moments.polygon_moments``. A closed form
-gives the sum over a run of adjacent pixels in a row, so the code needs no image.
+gives the sum over adjacent pixels in a row, so the code does not need an image.
 """
 
 from __future__ import annotations
@@ -23,11 +23,12 @@ def raster_moments(
     height_px: int,
     out: NDArray[np.float64],  # (31,)
 ) -> int:
-    """Fill ``out`` with the moments of a simple polygon as an image samples it; return the number of pixels.
+    """Fill ``out`` with the moments of a simple polygon, computed from the pixels inside the polygon.
 
-    A pixel's centre on a left or upper edge is inside, and one on a right or lower edge is outside. So
-    polygons with a common edge have no common pixel. The function ignores the parts of the polygon outside of
-    the image. Without a pixel, ``out`` is all NaN.
+    Return the number of pixels. A pixel is inside if its centre is on a left or upper edge, and outside if
+    its centre is on a right or lower edge. So polygons with a common edge have no common pixel. The function
+    ignores the parts of the polygon outside of the image. If no pixel is inside the polygon, ``out`` is all
+    NaN.
     """
     n = vertices.shape[0]
     c_u, c_v = principal_point_px(width_px, height_px)
@@ -44,6 +45,8 @@ def raster_moments(
     first_row = int(np.ceil(max(top, 0.0)))
     last_row = int(np.floor(min(bottom, height_px - 1.0)))
 
+    # First pass: the runs and the centroid, in exact integers. Centred sums need the centroid first; sums
+    # about the image's corner would cancel.
     crossings = np.empty(n)
     runs = np.empty((max(0, last_row - first_row + 1) * (n // 2), 3), np.int64)  # row, first, last
     run_count, count, twice_sum_u, sum_v = 0, 0, 0, 0
@@ -78,12 +81,13 @@ def mask_moments(
     c_v: float,
     out: NDArray[np.float64],  # (31,)
 ) -> int:
-    """Fill ``out`` with the moments of a mask's non-zero pixels; return the number of these pixels.
+    """Fill ``out`` with the moments of a mask's non-zero pixels, and return the number of these pixels.
 
-    The principal point is an argument because a renderer's principal point may differ from our convention.
-    Without a pixel, ``out`` is all NaN.
+    The principal point is an argument because a renderer's principal point may differ from the usual
+    convention. If the mask has no such pixel, ``out`` is all NaN.
     """
     height_px, width_px = mask.shape
+    # First pass: the centroid, in exact integers, and the bounding box, so that the second pass scans little.
     count, sum_u, sum_v = 0, 0, 0
     top, bottom, left, right = height_px, -1, width_px, -1
     for v in range(height_px):
@@ -122,7 +126,7 @@ def _row_crossings(
     v: float,
     out: NDArray[np.float64],  # (n,)
 ) -> int:
-    """Fill ``out`` with the sorted u [px] where the polygon's outline crosses the row ``v``.
+    """Fill ``out`` with the sorted coordinates u [px] at which the polygon's outline crosses the row ``v``.
 
     Return the number of crossings, which is even.
     """
@@ -156,14 +160,14 @@ def _run(u_left: float, u_right: float, width_px: int) -> tuple[int, int]:
 
 @compiled
 def _add_run(middle: float, length: int, y: float, out: NDArray[np.float64]) -> None:
-    """Add the pixels of a run, in centred pixel coordinates, to every mu_ij of ``out`` (31,).
+    """Add a run of pixels, in centred pixel coordinates, to every mu_ij in ``out`` (31,).
 
-    The run has n pixels at middle + d, d = -(n-1)/2 ... (n-1)/2, so the sums of odd powers of d are zero. The
-    sums of even powers are polynomials in n (Faulhaber's formula, below). From all these, the binomial
-    theorem gives the sums of powers of middle + d.
+    The run has n pixels at middle + d, with d from -(n-1)/2 to (n-1)/2. So the sums of odd powers of d are
+    zero. The sums of even powers are polynomials in n (Faulhaber's formula, below). The binomial theorem then
+    gives the sums of powers of middle + d.
 
         sum d^2 = n (n^2 - 1)/12,   sum d^4 = sum d^2 (3 n^2 - 7)/20,
-        sum d^6 = sum d^2 (3 n^4 - 18 n^2 + 31)/112.
+        sum d^6 = sum d^2 (3 n^4 - 18 n^2 + 31)/112
     """
     n = float(length)
     nn = n * n
@@ -199,6 +203,7 @@ def _to_normalised(
     The function divides lengths by f, and counts each pixel as the area 1/f^2. The centroid is x_g = (u_g -
     c_u)/f, y_g = (v_g - c_v)/f.
     """
+    # A pixel's area is 1/f^2, and each power of a coordinate adds a factor 1/f.
     scale = 1.0 / (focal_px * focal_px)
     for order in range(MAX_ORDER + 1):
         for j in range(order + 1):

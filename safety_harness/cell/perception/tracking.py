@@ -1,7 +1,8 @@
 """Track hands: pair boxes with tracks, and predict the position of each hand.
 
-Everything here errs on the safe side. A track ends only if no frame has shown its hand for as long as the
-timeout. If the filter cannot extrapolate a track, the track stays at its place and does not disappear.
+In case of doubt, the module assumes that a hand is present. A track ends only if no frame has shown its hand
+for longer than the timeout. If the filter cannot extrapolate a track, the track stays at its place and does
+not disappear.
 """
 
 from __future__ import annotations
@@ -34,26 +35,31 @@ def advance_tracks(
     capture_time_s: float,
     parameters: NDArray[np.void],  # (1,) of FILTER_PARAMETERS
 ) -> bool:
-    """Update the tracks with a frame of the hand sensor; ``count`` = 0 means a frame without a hand.
+    """Update the tracks with a frame of the hand sensor.
+
+    ``count`` = 0 means a frame without a hand.
 
     1. The function predicts every track to the capture time.
-    2. It pairs boxes and tracks so that the sum of the distances between their centres in the image is least.
+    2. The function pairs boxes and tracks so that the sum of the distances between their centres in the image
+      is least.
        A box without a track adds ``gate_px`` to the sum, and the distance of a pair is at most ``gate_px``.
        If at most MOST_TRIED pairings exist and some have equal sums, earlier boxes get lower slots.
-    3. It updates paired tracks. Every other box starts a track in the free slot that was seen longest ago.
+    3. The function updates paired tracks. Every other box starts a track in the free slot that was seen
+      longest ago.
        Without a free slot, the new track replaces the unpaired track that was seen longest ago.
-    4. It drops tracks that no frame has shown for longer than ``track_timeout_s``.
+    4. The function drops tracks that no frame has shown for longer than ``track_timeout_s``.
 
     The function ignores a box with a value that is not finite, or without a positive depth and area. If a
     track's predicted depth would not be positive, the track stays at its place, with growing uncertainty. So
     the depth of a track is always positive.
 
-    Change nothing and return ``False`` if the frame is older than a track's state or if its time is not
-    finite. Such a frame must not count as a frame without a hand.
+    If the frame is older than a track's state or its time is not finite, the function leaves the tracks
+    unchanged and returns ``False``. Such a frame must not count as a frame without a hand.
     """
     if not isfinite(capture_time_s):
         return False
     for i in range(tracks.shape[0]):
+        # All tracks are tested before any is changed, so that an old frame leaves no half-advanced state.
         if tracks[i]["valid"] and capture_time_s < tracks[i]["time_s"]:
             return False
     for i in range(tracks.shape[0]):
@@ -64,6 +70,7 @@ def advance_tracks(
         if tracks[i]["box"] >= 0:
             update(tracks[i], boxes[tracks[i]["box"]], parameters[0])
     for i in range(tracks.shape[0]):
+        # Before new tracks start, so that a slot that becomes free here can take a box of this frame.
         if capture_time_s - tracks[i]["last_seen_s"] > parameters[0]["track_timeout_s"]:
             tracks[i]["valid"] = False
     for j in range(count):
@@ -88,15 +95,15 @@ def predict_positions(
     positions_in_base_out: NDArray[np.float64],  # (n, 3) [m]
     valid_out: NDArray[np.bool_],  # (n,)
 ) -> None:
-    """Fill ``positions_in_base_out`` with the centre of every tracked hand at ``at_time_s``; change no track.
+    """Fill ``positions_in_base_out`` with the centre of every tracked hand at ``at_time_s``.
 
-    The function extrapolates the filtered box by its rates, and converts it by the pinhole model
-    (``position_from_box``). The rows of slots without a track are NaN and not valid.
+    The tracks do not change. The function extrapolates the filtered box by its rates, and converts it by the
+    pinhole model (``position_from_box``). The rows of slots without a track are NaN and not valid.
 
-    An extrapolated depth that is not positive means that the hand would pass through the sensor's plane.
-    There a pixel and a depth have no meaning. The function then uses the filter's present position, whose
-    depth ``advance_tracks`` keeps positive. It does the same if the extrapolation is not finite. So a tracked
-    hand always has a position, which is never behind the sensor.
+    An extrapolated depth that is not positive means that the hand would pass through the sensor's plane. At
+    this plane, a pixel and a depth have no meaning. The function then uses the filter's present position,
+    whose depth ``advance_tracks`` keeps positive. The function also uses the present position if the
+    extrapolation is not finite. So a tracked hand always has a position, which is never behind the sensor.
     """
     focal_px, radius_m = parameters[0]["focal_px"], parameters[0]["assumed_radius_m"]
     c_u, c_v = parameters[0]["c_u"], parameters[0]["c_v"]
@@ -121,7 +128,7 @@ def predict_positions(
 
 @njit_no_nrt
 def _is_place(u_px: float, v_px: float, z_m: float) -> bool:
-    """Return whether u, v and z of a box denote a point in front of the sensor."""
+    """Return whether u, v and z of a box define a point in front of the sensor."""
     return isfinite(u_px) and isfinite(v_px) and isfinite(z_m) and z_m > 0.0
 
 
@@ -133,14 +140,17 @@ def _is_measurement(box: NDArray[np.float64]) -> bool:
 
 @njit_no_nrt
 def _extrapolated(track: np.void, dt_s: float) -> tuple[float, float, float]:
-    """Return (u, v, z) of a track's box: value + dt rate for each pair."""
+    """Return (u, v, z) of a track's box after ``dt_s``, which is value + dt rate for each pair."""
     mean = track["mean"]
     return mean[0] + dt_s * mean[5], mean[1] + dt_s * mean[6], mean[2] + dt_s * mean[7]
 
 
 @njit_no_nrt
 def _predict_to(track: np.void, time_s: float, parameters: np.void) -> None:
-    """Predict a track to ``time_s``; leave its mean if the predicted depth would not be positive."""
+    """Predict a track to ``time_s``.
+
+    If the predicted depth would not be positive, the mean does not change.
+    """
     dt_s = time_s - track["time_s"]
     if track["mean"][2] + dt_s * track["mean"][7] > 0.0:
         predict(track, dt_s, parameters)
@@ -158,7 +168,7 @@ def _assign(
 ) -> None:
     """Find the cheapest pairing, and write into each track the index of its box.
 
-    For few boxes the function tries all pairings; otherwise it calls ``_assign_many``.
+    If there are few boxes, the function tries all pairings. Otherwise the function calls ``_assign_many``.
     """
     slots = tracks.shape[0]
     for i in range(slots):
@@ -187,6 +197,7 @@ def _assign(
             else:
                 total += tracks[i]["distance_px"][j]
                 used |= 1 << i
+        # Strictly less: of equal sums the first pairing wins, in which earlier boxes have lower slots.
         if total < least:
             least = total
             rest = code
@@ -201,7 +212,7 @@ def _assign(
 
 @njit_no_nrt
 def _distance_px(track: np.void, box: NDArray[np.float64]) -> float:
-    """Return the distance of ``box`` (5,) from a track in the image; infinite for an impossible pair."""
+    """Return the distance in the image of ``box`` (5,) from a track, or infinity for an impossible pair."""
     if not (track["valid"] and _is_measurement(box)):
         return inf
     du, dv = box[0] - track["mean"][0], box[1] - track["mean"][1]
@@ -226,13 +237,15 @@ def _assign_many(
 ) -> None:
     """Find the cheapest pairing by shortest augmenting paths (Hungarian method).
 
-    The method takes count^2 (tracks + count) steps. Beside the columns of the tracks, every box has a column
-    of its own with the cost ``gate_px``. Columns and boxes count from 1.
+    The method takes count^2 (tracks + count) steps. Besides the columns of the tracks, each box has its own
+    column with the cost ``gate_px``. The algorithm numbers the columns and the boxes from 1.
     """
     slots = tracks.shape[0]
     size, gate = slots + count + 1, gate_px if gate_px < FARTHEST_PX else FARTHEST_PX
     box_price, column_price = np.zeros(count + 1), np.zeros(size)
     box_of, predecessor = np.zeros(size, np.int64), np.zeros(size, np.int64)
+    # Add one box at a time: a shortest path over reduced costs moves earlier boxes to other columns if
+    # needed.
     for box in range(1, count + 1):
         box_of[0], column = box, 0
         least, done = np.full(size, inf), np.zeros(size, np.bool_)
@@ -246,18 +259,21 @@ def _assign_many(
                 if k <= slots:
                     distance_px = _distance_px(tracks[k - 1], boxes[row - 1])
                     cost = distance_px if distance_px <= gate else 2.0 * gate  # dearer than its own
+                # Reduced costs stay non-negative, so Dijkstra's method applies.
                 cost -= box_price[row] + column_price[k]
                 if cost < least[k]:
                     least[k], predecessor[k] = cost, column
                 if least[k] < step:
                     step, nearest = least[k], k
             for k in range(size):
+                # Raise the prices so that the edges of the path have the reduced cost 0.
                 if done[k]:
                     box_price[box_of[k]] += step
                     column_price[k] -= step
                 else:
                     least[k] -= step
             column = nearest
+        # Walk the path back, and give each column on it the box of the column before.
         while column != 0:
             box_of[column] = box_of[predecessor[column]]
             column = predecessor[column]
@@ -268,10 +284,11 @@ def _assign_many(
 
 @njit_no_nrt
 def _slot_for_new_track(tracks: NDArray[np.void]) -> int:
-    """Return the free slot that was seen longest ago, or else the unpaired track that was seen longest ago.
+    """Return the slot for a new track.
 
-    Such a slot always exists, because there are at most as many boxes as slots. So a box without a track
-    leaves at least one slot without a box.
+    The function prefers the free slot that was seen longest ago. If no slot is free, it takes the slot of the
+    unpaired track that was seen longest ago. Such a slot always exists, because there are at most as many
+    boxes as slots. So at least one slot is unpaired if a box has no track.
     """
     best = -1
     for i in range(tracks.shape[0]):

@@ -1,8 +1,10 @@
-"""Read link capsules: a few simple bodies that enclose every mesh of the arm.
+"""Read the capsules of an arm's links.
+
+The capsules are a few simple bodies that enclose every mesh of the arm.
 
 ``safety-harness robot fit`` fits capsules to an arm once and stores them as JSON. The capsules of the shipped
 arms lie beside this file. A distance to a capsule is never longer than the distance to the meshes inside. So
-an error is on the safe side.
+a computed distance is never too long.
 """
 
 from __future__ import annotations
@@ -30,11 +32,11 @@ from safety_harness.cell.robot.urdf import ArmFileError, read_bytes
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CapsuleSet:
-    """A set of ``n`` capsules, each fixed in a frame of forward kinematics; arrays are read-only.
+    """A set of ``n`` capsules, each fixed in a frame of forward kinematics.
 
-    ``link_index`` (n,) is the number of a capsule's frame: 0 for the base, then the moving links, and
-    ``frames`` - 1 for the tcp. ``start_in_link`` and ``end_in_link`` (n, 3) [m] are the ends of a capsule's
-    axis in its frame.
+    All arrays are read-only. ``link_index`` (n,) is the number of each capsule's frame. The base has the
+    number 0, the moving links follow, and the tcp has the number ``frames`` - 1. ``start_in_link`` and
+    ``end_in_link`` (n, 3) [m] are the two ends of each capsule's axis in its frame.
     """
 
     names: tuple[str, ...]
@@ -71,7 +73,10 @@ class CapsuleSet:
         return records
 
     def of_links(self, links: Collection[int]) -> CapsuleSet:
-        """Return the capsules of the given ``links``; 0 is the base."""
+        """Return the capsules of the given ``links``.
+
+        The base is link 0.
+        """
         kept = [k for k, link in enumerate(self.link_index) if link in links]
         return CapsuleSet(
             names=tuple(self.names[k] for k in kept),
@@ -83,9 +88,9 @@ class CapsuleSet:
         )
 
     def carried_by(self, link: int, transform: NDArray[np.float64]) -> CapsuleSet:
-        """Return the same set, with the capsules of ``link`` expressed in another frame.
+        """Return the same set, but with the capsules of ``link`` in another frame.
 
-        ``transform`` (4, 4) leads from the old frame of ``link`` to the new one.
+        ``transform`` (4, 4) transforms from the old frame of ``link`` to the new frame.
         """
         mine = (self.link_index == link)[:, None]
         ends = (self.start_in_link, self.end_in_link)
@@ -95,13 +100,13 @@ class CapsuleSet:
     def with_capsule(
         self, name: str, link_index: int, start: ArrayLike, end: ArrayLike, radius: float
     ) -> CapsuleSet:
-        """Return a new set with one more capsule, such as a tool, after the others.
+        """Return a new set with one more capsule at the end, for example for a tool.
 
         Args:
             name: The capsule's name.
             link_index: The number of the capsule's frame.
-            start: An end of the capsule's axis (3,) [m], in its frame.
-            end: The other end (3,) [m].
+            start: The first end of the capsule's axis (3,) [m], in its frame.
+            end: The second end of the axis (3,) [m].
             radius: The capsule's radius [m].
 
         """
@@ -126,10 +131,11 @@ class StoredCapsule(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
 
 
 class StoredCapsules(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
-    """The content of a capsule file, with the SHA-256 of the URDF and of each mesh that they were fitted to.
+    """The contents of a capsule file.
 
-    The shipped files have no hashes, because their meshes lie beside them. ``meshless_urdf_sha256`` is the
-    hash of a URDF of the same arm with these capsules as its shapes.
+    The file states the SHA-256 of the URDF and of each mesh to which the capsules were fitted. The shipped
+    files have no hashes, because their meshes lie beside them. A second URDF of the same arm may have these
+    capsules as its shapes. ``meshless_urdf_sha256`` is the hash of this second URDF.
     """
 
     arm: str
@@ -141,7 +147,10 @@ class StoredCapsules(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     meshless_urdf_sha256: str = ""
 
     def on(self, arm: ArmModel, file: Path) -> CapsuleSet:
-        """Return the capsules on ``arm``; raise ``ArmFileError`` if they name links that it does not have."""
+        """Return the capsules as a ``CapsuleSet`` of ``arm``.
+
+        Raise ``ArmFileError`` if the capsules belong to links that the arm lacks.
+        """
         frames = (*arm.link_names, arm.tcp_link)
         unknown = {body.link for body in self.capsules}.difference(frames)
         if unknown or not self.capsules:
@@ -166,7 +175,10 @@ def capsule_file(arm_name: str) -> Path:
 
 @lru_cache
 def load_capsules(arm_name: str = "ur10") -> CapsuleSet:
-    """Return the fitted capsules of the shipped arm ``arm_name``; raise ``ArmModelError`` without any."""
+    """Return the fitted capsules of the shipped arm ``arm_name``.
+
+    Raise ``ArmModelError`` if there are no capsules.
+    """
     file = capsule_file(arm_name)
     if not file.is_file():
         raise ArmModelError(f"no capsules for {arm_name!r}; to fit them: safety-harness robot fit")
@@ -176,17 +188,17 @@ def load_capsules(arm_name: str = "ur10") -> CapsuleSet:
 def read_capsules(
     file: Path, arm: ArmModel, *, text: bytes | None = None, urdf_sha256: str | None = None
 ) -> CapsuleSet:
-    """Return the capsules in ``file``, if they were fitted to ``arm`` as it is now.
+    """Return the capsules in ``file``, provided that they were fitted to the present ``arm``.
 
     Args:
         file: The file of capsules.
         arm: The arm.
-        text: The bytes of the file, used in place of the file.
+        text: The contents of the file. None means that the function reads the file.
         urdf_sha256: The hash of the arm's URDF, if the caller knows it. The function then reads neither the
             arm's file nor its meshes.
 
     Raises:
-        ArmFileError: The capsules were fitted to another arm; the error names the difference.
+        ArmFileError: The capsules were fitted to another arm. The error states the difference.
 
     """
     stored = _stored(file, text)
@@ -198,6 +210,7 @@ def read_capsules(
     named = meshes if meshless else stored.meshes_sha256
     for uri in sorted(named.keys() | meshes.keys()):
         pairs.append((f"mesh {uri} with the SHA-256", named.get(uri, "none"), meshes.get(uri, "none")))
+    # Capsules of another file may be too small for this arm, which no later check would notice.
     for part, fitted_to, is_now in pairs:
         if fitted_to != is_now:
             expected = f"capsules fitted to the {part} {is_now}"
@@ -210,9 +223,10 @@ def read_capsules(
 
 
 def unenclosed_links(arm: ArmModel, enclosed: Collection[int], accepted: Collection[str] = ()) -> list[str]:
-    """Return the names of the links without a capsule between the first and the last link with capsules.
+    """Return the names of the links without a capsule.
 
-    ``enclosed`` has the numbers of the links with capsules; 0 is the base. The result leaves out the names in
+    The function considers the links between the first and the last link with capsules. ``enclosed`` contains
+    the numbers of the links with capsules. The base has the number 0. The result leaves out the names in
     ``accepted``.
     """
     names = arm.link_names
@@ -221,10 +235,10 @@ def unenclosed_links(arm: ArmModel, enclosed: Collection[int], accepted: Collect
 
 
 def tcp_beyond(arm: ArmModel, capsules: CapsuleSet) -> float:
-    """Return the distance [m] of the TCP from the nearest capsule at the arm's end; 0 inside a capsule.
+    """Return the distance [m] of the TCP from the nearest capsule at the arm's end, or 0 inside a capsule.
 
-    The function uses the capsules in the TCP's frame and on the last link that has capsules. It takes joints
-    behind that link at position 0.
+    The function uses the capsules in the TCP's frame and on the last link that has capsules. The function
+    assumes that all joints after that link are at position 0.
     """
     point_m, nearest_m = np.zeros(3), np.inf
     frames = enumerate((arm.flange, *arm.joint_origins[::-1], np.eye(4)))
@@ -239,7 +253,10 @@ def tcp_beyond(arm: ArmModel, capsules: CapsuleSet) -> float:
 
 
 def hashes_of(arm: ArmModel) -> tuple[str, dict[str, str]]:
-    """Return the SHA-256 of an arm's URDF, and that of each mesh by the mesh's name in the URDF."""
+    """Return the SHA-256 of an arm's URDF and of its meshes.
+
+    The second result maps the name of each mesh in the URDF to its hash.
+    """
     shapes = [shape for link in arm.links for shape in (*link.collision, *link.visual)]
     meshes = {shape.uri: _sha256(shape.file) for shape in shapes if shape.file is not None}
     return _sha256(arm.file), meshes
@@ -251,7 +268,12 @@ def _sha256(file: Path) -> str:
 
 
 def _stored(file: Path, text: bytes | None = None) -> StoredCapsules:
-    """Return the content of a capsule file, or of its ``text``; raise ``ArmFileError`` if it is invalid."""
+    """Return the contents of a capsule file.
+
+    If ``text`` is not None, the function uses ``text`` instead of the file.
+
+    Raise ``ArmFileError`` if the contents are invalid.
+    """
     try:
         return msgspec.json.decode(read_bytes(file) if text is None else text, type=StoredCapsules)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
@@ -259,10 +281,10 @@ def _stored(file: Path, text: bytes | None = None) -> StoredCapsules:
 
 
 class Arm(NamedTuple):
-    """An arm with its capsules, for a kernel that runs once for a whole trace or path.
+    """The compiled records of an arm and its capsules.
 
-    A kernel that runs at every tick takes the records as separate arguments, since a tuple costs a
-    microsecond per call.
+    The records are for kernels that run once for a whole trace or path. Kernels that run at every tick take
+    the records as separate arguments, because a tuple costs a microsecond per call.
     """
 
     chain: ChainRecords
@@ -272,13 +294,13 @@ class Arm(NamedTuple):
 
 @lru_cache(maxsize=16)
 def arm_with(arm: ArmModel, capsules: CapsuleSet) -> Arm:
-    """Return the ``Arm`` of the model ``arm`` with the given ``capsules``."""
+    """Return the ``Arm`` that consists of the model ``arm`` and the given ``capsules``."""
     return Arm(arm.chain, capsules.records, chain_lengths(arm.chain, capsules.records))
 
 
 @lru_cache(maxsize=16)
 def tcp_alone(arm: ArmModel) -> Arm:
-    """Return the ``Arm`` of the model ``arm`` with a single capsule, a point at its TCP."""
+    """Return the ``Arm`` of the model ``arm`` with a point at the TCP as its only capsule."""
     point = np.zeros(1, CAPSULE)
     point["link_index"] = len(arm.joint_names) + 1
     point.setflags(write=False)

@@ -6,15 +6,15 @@ all joints are at zero. Vectors are in the frame (h_1, h x h_1, h). The first tw
 plane in which joints 2 to 4 move. A complex number stands for a vector in this plane. E_i is the turn about
 joint i, and R the rotation of the pose. w is the vector from joint 1 to the point where axes 5 and 6 meet:
 
-    (E_1 h) . w = h . (steps between the joints)          gives theta_1, two of them
+    dot(E_1 h, w) = dot(h, steps between the joints)      gives theta_1, two of them
     R^T E_1 h = (E_5 E_6)^T h                             gives theta_5 and theta_6, two of them
     z = l_2 e^(i theta_2) + l_3 e^(i (theta_2 + theta_3)) + k e^(i psi),   psi = theta_2 + theta_3 + theta_4
 
-The third equation is in the plane. R and the angles found before determine psi; the equation then has two
-solutions, one for each elbow. The angles theta_5 and theta_6 come from sines, not from a cosine, so they stay
-accurate near the wrist's singularity. If sin theta_5 vanishes, theta_6 is free. Every psi that joints 2 and 3
-can reach is then a solution. (Hawkins, Analytic inverse kinematics for the Universal Robots, 2013, with the
-sines.)
+The third equation is in the plane. The rotation R and the angles found before determine psi. The equation
+then has two solutions, one for each elbow. The angles theta_5 and theta_6 come from sines, not from a cosine,
+so they stay accurate near the wrist's singularity. If sin theta_5 vanishes, theta_6 is free. Every psi that
+joints 2 and 3 can reach is then a solution. (Hawkins, Analytic inverse kinematics for the Universal Robots,
+2013, with the sines.)
 """
 
 from __future__ import annotations
@@ -60,13 +60,16 @@ ArmGeometryRecords = NDArray[np.void]  # (1,) ARM_GEOMETRY
 
 
 class ArmGeometry(Protocol):
-    """A record of ARM_GEOMETRY, as compiled code reads it; complex numbers are vectors in the plane.
+    """A record of ARM_GEOMETRY, in the form that compiled code reads.
 
-    ``plane_to_tool`` is a rotation with all joints at zero. ``wrist_in_tool`` is the vector from the TCP to
-    the point where axes 5 and 6 meet. ``offset_m`` is the sum of all steps along h. ``shoulder_m``,
-    ``upper_m``, ``lower_m`` and ``wrist_m`` are the steps from joint 1 to 2, 3, 4 and the point where axes 5
-    and 6 meet. ``axis_5_rad`` is the direction of axis 5 at zero. ``sense`` is 1 if axis 6 points along h at
-    zero, and -1 if it points against h. ``lower_rad`` and ``upper_rad`` are the position limits.
+    Complex numbers are vectors in the plane. ``plane_to_tool`` is the rotation with all joints at zero.
+    ``wrist_in_tool`` is the vector from the TCP to the point where axes 5 and 6 meet. The chain of links
+    consists of steps from joint 1 to the point where axes 5 and 6 meet. ``offset_m`` is the sum of the steps'
+    components along h. The steps in the plane are ``shoulder_m`` (joint 1 to 2), ``upper_m`` (joint 2 to 3)
+    and ``lower_m`` (joint 3 to 4). ``wrist_m`` is the step from joint 4 to the point where axes 5 and 6 meet.
+    ``axis_5_rad`` is the direction of axis 5 with all joints at zero. ``sense`` is 1 if axis 6 points along h
+    with all joints at zero, and -1 if it points against h. ``lower_rad`` and ``upper_rad`` are the position
+    limits.
     """
 
     base_to_plane: Array3x3
@@ -96,7 +99,7 @@ def has_closed_form(arm: ArmModel) -> bool:
 def arm_geometry(arm: ArmModel) -> ArmGeometryRecords:
     """Return the read-only record ARM_GEOMETRY (1,) of an arm.
 
-    Raise ``ArmModelError`` for another wrist than the UR family's.
+    Raise ``ArmModelError`` if the arm does not have the wrist of the UR family.
     """
     if len(arm.joint_names) != 6:
         raise ArmModelError(f"{arm.name}: the closed form is of six joints, not {len(arm.joint_names)}")
@@ -136,14 +139,16 @@ def arm_geometry(arm: ArmModel) -> ArmGeometryRecords:
 
 @njit_no_nrt
 def candidate_branches(arm: ArmGeometry, pose: Array4x4, out: ArrayNx6) -> int:
-    """Fill ``out`` (AT_ONCE, 6) with joint positions that may give ``pose`` (4, 4), and return their number.
+    """Fill ``out`` (AT_ONCE, 6) with joint positions that may give ``pose`` (4, 4).
 
-    If the pose is within reach, the joint positions give it up to rounding. The function does not check this,
-    and does not wrap angles. At a singularity, it repeats some positions. The order is by theta_1, then
-    theta_5, then psi, then theta_3.
+    Return the number of positions. If the pose is within reach, these positions give the pose up to rounding.
+    The function does not check this, and does not wrap angles. At a singularity, it repeats some positions.
+    The positions are in the order of theta_1, then theta_5, then psi, then theta_3.
     """
     wx, wy, wz = _wrist(arm, pose, 0), _wrist(arm, pose, 1), _wrist(arm, pose, 2)
     radius = hypot(wy, wz)
+    # The wrist cannot enter the cylinder of this radius about axis 1: the arm's plane is that far beside the
+    # axis.
     if not radius > max(abs(arm.offset_m) - EDGE_M, 0.0):
         return 0
     half = arccos(min(max(arm.offset_m / radius, -1.0), 1.0))
@@ -183,17 +188,20 @@ def _with_wrist(
     out: ArrayNx6,
     count: int,
 ) -> int:
-    """Append the solutions with the given angles to the first ``count`` rows of ``out`` (AT_ONCE, 6).
+    """Append the solutions with the given angles to ``out`` (AT_ONCE, 6), which has ``count`` rows so far.
 
-    Return the new count. Near the singularity psi is ill determined. If joints 2 and 3 cannot bridge the
-    distance that ``psi`` leaves, the function takes the nearest psi with a possible distance. At the
-    singularity it also uses the two psi in the middle of the possible range.
+    Return the new number of rows. Near the singularity, psi is ill conditioned. If joints 2 and 3 cannot
+    bridge the distance for ``psi``, the function uses the nearest angle for which they can. At the
+    singularity, the function also uses the two angles in the middle of the possible range.
     """
+    # The vector k from joint 4 to the wrist is known, so joints 2 and 3 must bridge z - k.
     k = arm.wrist_m * _unit(psi)
     distance, angle_apart = _size(z - k), _direction(k / z)
     upper_m, lower_m = _size(arm.upper_m), _size(arm.lower_m)
     shortest, longest = abs(upper_m - lower_m), upper_m + lower_m
     sine = abs(sin(theta_5))
+    # Out of reach, there are two exceptions: psi is ill conditioned, or rounding alone makes the distance too
+    # long.
     if shortest <= distance <= longest:
         best = psi
     elif sine < NEAR_SINE:
@@ -208,6 +216,7 @@ def _with_wrist(
     straight = psi - angle_apart
     for tried in (best, straight + middle, straight - middle):
         y = z - arm.wrist_m * _unit(tried)
+        # Law of cosines in the triangle of upper arm, lower arm and y; its two solutions are the elbows.
         bend = (_size(y) ** 2 - upper_m**2 - lower_m**2) / (2.0 * upper_m * lower_m)
         for elbow in (1.0, -1.0):
             theta_3 = elbow * arccos(min(max(bend, -1.0), 1.0))
@@ -215,6 +224,7 @@ def _with_wrist(
             theta_2 = _direction(y) - _direction(arm.upper_m + arm.lower_m * _unit(theta_3))
             out[count, 0], out[count, 1], out[count, 2] = theta_1, theta_2, theta_3
             out[count, 3], out[count, 4] = tried - theta_2 - theta_3, theta_5
+            # At the singularity axes 4 and 6 are parallel, so joint 6 undoes the change of psi.
             out[count, 5] = theta_6 + (psi - tried) * arm.sense * np.sign(cos(theta_5))
             count += 1
         if sine > FREE:
@@ -224,7 +234,7 @@ def _with_wrist(
 
 @inlined
 def _turn(arm: ArmGeometry, pose: Array4x4, i: int, j: int) -> float:
-    """Return entry (i, j) of the rotation from zero to ``pose`` (4, 4), in the plane's frame."""
+    """Return entry (i, j) of the rotation from the zero position to ``pose`` (4, 4), in the plane's frame."""
     total = 0.0
     for m in range(3):
         for n in range(3):
@@ -234,9 +244,9 @@ def _turn(arm: ArmGeometry, pose: Array4x4, i: int, j: int) -> float:
 
 @inlined
 def _wrist(arm: ArmGeometry, pose: Array4x4, i: int) -> float:
-    """Return entry i of the vector [m] from joint 1 to where axes 5 and 6 meet, in the plane's frame.
+    """Return entry i of the vector [m] from joint 1 to the point where axes 5 and 6 meet.
 
-    ``pose`` (4, 4).
+    The vector is in the plane's frame. ``pose`` (4, 4).
     """
     total = 0.0
     for m in range(3):
@@ -249,7 +259,7 @@ def _wrist(arm: ArmGeometry, pose: Array4x4, i: int) -> float:
 
 @inlined
 def _angle_for(z: complex, k: complex, distance: float) -> float:
-    """Return the angle between z and k for which |z - k| is ``distance``, or as near to it as possible."""
+    """Return the angle between z and k at which |z - k| is as near to ``distance`` as possible."""
     cosine = (_size(z) ** 2 + _size(k) ** 2 - distance * distance) / (2.0 * _size(z) * _size(k))
     return float(arccos(min(max(cosine, -1.0), 1.0)))
 

@@ -1,4 +1,4 @@
-"""Compute a lower bound and a sample of the closest approach of a hand and the arm between two instants.
+"""Compute a lower bound of the distance between a hand and the arm during the motion between two instants.
 
 The module ``distance`` defines hand, arm and distance.
 """
@@ -38,19 +38,21 @@ def closest_approach_between(
 ) -> tuple[float, float, float, float]:
     """Return a guaranteed lower bound [m] of ``hand_distance`` during a linear motion of joints and hand.
 
-    As t goes from 0 to 1, the joints go from ``q0`` to ``q1`` [rad]. The hand's two points go from state 0 to
-    state 1 [m, base frame]. The function returns the bound, the t of the least sampled distance, this
-    distance, and the distance at t = 1. The bound is never above the true minimum, and at most
-    ``tolerance_m`` > 0 below it. To save work, a bound above ``not_below_m`` may be farther below the
-    minimum. The bound is NaN if the distance at either end is NaN.
+    As t goes from 0 to 1, the joints go from ``q0`` to ``q1`` [rad]. The hand's centre goes from ``hand0`` to
+    ``hand1``, and the elbow goes from ``elbow0`` to ``elbow1``. These positions are in the base frame [m].
+    The function returns four numbers: the bound, the t at which the sampled distance is least, the least
+    sampled distance, and the distance at t = 1. The bound is never above the true minimum, and it is below
+    the minimum by at most ``tolerance_m`` > 0. To save work, the function does not improve a bound that
+    exceeds ``not_below_m``. Such a bound may be farther below the minimum. The bound is NaN if the distance
+    at either end is NaN.
 
     The method is branch and bound, from left to right. The function halves an interval [a, b] until its bound
     is good enough:
 
-        min d >= min d_linear - B (b - a)^2 / 8,
+        min d >= min d_linear - B (b - a)^2 / 8
 
-    where d_linear is the distance if all axis ends moved linearly from a to b (``_linear_bound``), and B
-    comes from ``_bend``. A curve with |p''| <= B leaves its chord by at most the last term.
+    Here d_linear is the distance that results if all axis ends move linearly from a to b (``_linear_bound``).
+    B comes from ``_bend``. A curve with |p''| <= B deviates from its chord by at most the last term.
     """
     if not tolerance_m > 0.0:
         raise ValueError("tolerance_m must be positive")
@@ -88,6 +90,8 @@ def closest_approach_between(
             # Between the two ends every point stays within its chord and its bend.
             chord = _longest_chord(left_m, sample)
             chord += max(segment_length(hand0, hand1), segment_length(elbow0, elbow1))
+            # From either end, the distance falls by at most the chord. Where both bounds are equal, each is
+            # half of first + last - chord.
             coarse = 0.5 * (first + last - chord) - bend / 8.0
             if coarse > not_below_m:
                 return min(coarse, best), t_best, best, last
@@ -102,6 +106,7 @@ def closest_approach_between(
                 arm.capsules, left_m, right_m[depth - 1], hands, hand_radius_m, forearm_radius_m
             )
             bound -= bend * (right - left) ** 2 / 8.0
+            # Only such an interval could make the result too low by more than the tolerance.
             if bound < min(best - tolerance_m, not_below_m) and depth < MAX_BISECTIONS:
                 break
             lower = min(lower, bound)
@@ -116,7 +121,7 @@ def closest_approach_between(
 
 @inlined
 def _longest_chord(left: ArrayNx2x3, right: ArrayNx2x3) -> float:
-    """Return the longest distance [m] between the same axis end of a capsule in ``left`` and ``right``."""
+    """Return the longest distance [m] between corresponding axis ends in ``left`` and ``right``."""
     longest = 0.0
     for capsule in range(left.shape[0]):
         for i in range(2):
@@ -131,7 +136,7 @@ def _longest_chord(left: ArrayNx2x3, right: ArrayNx2x3) -> float:
 def _hand_at(
     t: float, hand0: Array3, hand1: Array3, elbow0: Array3, elbow1: Array3, hand_out: Array2x3
 ) -> None:
-    """Fill ``hand_out`` with hand and elbow (2, 3) at the share ``t`` of the path from state 0 to state 1."""
+    """Fill ``hand_out`` (2, 3) with the positions of hand and elbow at the fraction ``t`` of the motion."""
     for i in range(3):
         hand_out[0, i] = hand0[i] + t * (hand1[i] - hand0[i])
         hand_out[1, i] = elbow0[i] + t * (elbow1[i] - elbow0[i])
@@ -139,14 +144,14 @@ def _hand_at(
 
 @njit_no_nrt
 def _bend(reach_m: ArrayN, q0: ArrayN, q1: ArrayN) -> float:
-    """Return a bound B on |d^2 p / dt^2| [m] for every point p on a capsule's axis and t from 0 to 1.
+    """Return a bound B [m] of |d^2 p / dt^2| for all points p on the capsules' axes and all t from 0 to 1.
 
-    B = sum over joints i, j of |dq_i dq_j| l_max(i, j), with l from ``chain_lengths``. For i <= j, d^2 p /
-    dq_i dq_j = a_i x (a_j x (p - p_j)) is at most |p - p_j|. The chain of links from joint j to p is at least
-    as long as this in every joint position. Over an interval of length h, a point leaves its chord by at most
-    B h^2 / 8.
+    The bound is B = sum over joints i, j of |dq_i dq_j| l_max(i, j), with l from ``chain_lengths``. For i <=
+    j, d^2 p / dq_i dq_j = a_i x (a_j x (p - p_j)) is at most |p - p_j|. In every joint position, the chain of
+    links from joint j to p is at least as long as |p - p_j|. Over an interval of length h, a point deviates
+    from its chord by at most B h^2 / 8.
 
-    ``reach_m``, ``q0`` and ``q1`` (n,).
+    ``reach_m``, ``q0`` and ``q1`` have the shape (n,).
     """
     bend = 0.0
     for i in range(reach_m.shape[0]):
@@ -164,11 +169,12 @@ def _linear_bound(
     hand_radius_m: float,
     forearm_radius_m: float,
 ) -> float:
-    """Return a lower bound [m] of the hand distance if all axis ends moved linearly from left to right.
+    """Return a lower bound [m] of the hand distance while all axis ends move linearly from left to right.
 
-    The bound is the minimum of ``_linear_pair_bound`` less the two radii, over all capsules with the hand and
-    with the forearm. ``left`` and ``right`` (n, 2, 3) are the ends of the capsules' axes. ``hands`` (3, 2, 3)
-    has hand and elbow at the left end, at the right end, and at the middle, which the function writes.
+    The bound is the minimum over all capsules of ``_linear_pair_bound`` less the two radii. The minimum
+    includes both the hand and the forearm. ``left`` and ``right`` (n, 2, 3) are the ends of the capsules'
+    axes. ``hands`` (3, 2, 3) contains hand and elbow at the left end, at the right end and at the middle. The
+    function writes the middle.
     """
     for i in range(2):
         for j in range(3):
@@ -208,19 +214,20 @@ def _linear_bound(
 def _linear_pair_bound(
     left: Array2x3, right: Array2x3, middle: Array2x3, hands: NDArray[np.float64], points: int
 ) -> float:
-    """Return a lower bound [m], over the interval, of the distance of two segments whose ends move linearly.
+    """Return a lower bound [m] of the distance of two segments whose ends move linearly in an interval.
 
-    ``left``, ``right`` and ``middle`` (2, 3) are the capsule's segment at either end and half-way; ``hands``
-    (3, 2, 3) as in ``_linear_bound``. ``points`` is 1 for the hand's centre and 2 for the forearm.
+    ``left``, ``right`` and ``middle`` (2, 3) are the capsule's segment at the two ends and at the middle of
+    the interval. ``hands`` (3, 2, 3) is the same as in ``_linear_bound``. ``points`` is 1 for the hand's
+    centre and 2 for the forearm.
 
-    The bound is max(0, |m| - max |u_ij(1) - u_ij(0)|/2, min over ends i, j and t in {0, 1} of u_ij(t) .
-    m/|m|). The vector u_ij goes from end i of the hand's segment to end j of the capsule's segment. m is the
-    shortest vector between the segments at half-way.
+    The bound is max(0, |m| - max |u_ij(1) - u_ij(0)|/2, min dot(u_ij(t), m)/|m|). The last minimum is over
+    the ends i and j and over t in {0, 1}. The vector u_ij goes from end i of the hand's segment to end j of
+    the capsule's segment. The vector m is the shortest vector between the segments at the middle.
 
-    The result is thus the largest of 0 and two bounds. The first is the distance at half-way, less half of
-    the longest relative displacement of two ends. The second is the gap between the segments along the fixed
-    direction of m. This gap is a minimum of functions that are linear in time, so it is smallest at an end of
-    the interval.
+    The result is thus the largest of 0 and two bounds. The first bound is the distance at the middle, less
+    half of the longest relative displacement of two ends. The second bound is the gap between the segments
+    along the fixed direction of m. This gap is a minimum of functions that are linear in time, so it is
+    smallest at an end of the interval.
     """
     x, y, z = segment_segment_vector(hands[2, 0], hands[2, points - 1], middle[0], middle[1])
     distance = sqrt(x * x + y * y + z * z)

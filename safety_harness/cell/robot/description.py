@@ -49,7 +49,10 @@ ChainRecords = NDArray[np.void]  # (1,) of chain_of(n)
 
 
 class Chain(Protocol):
-    """A record of a chain, as compiled code reads it; ``ArmModel`` explains its arrays."""
+    """A record of a chain, in the form that compiled code reads.
+
+    ``ArmModel`` explains its arrays.
+    """
 
     joint_origins: NDArray[np.float64]  # (n, 4, 4)
     joint_axes: NDArray[np.float64]  # (n, 3)
@@ -74,7 +77,10 @@ class Shape:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LinkShapes:
-    """The shapes of a link and of everything fixed to it; ``index`` is the link's number, 0 for the base."""
+    """The shapes of a link and of everything fixed to it.
+
+    ``index`` is the number of the link, and the base has the number 0.
+    """
 
     link: str
     index: int
@@ -84,14 +90,15 @@ class LinkShapes:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ArmModel:
-    """An arm with n turning joints between its base and its tcp; arrays are read-only.
+    """An arm with n turning joints between its base and its tcp.
 
-    ``joint_origins`` (n, 4, 4) transform from the frame of link i + 1 at q = 0 to the frame of link i.
-    ``joint_axes`` (n, 3) are the unit axes of the joints, each in the frame of the link that it moves.
-    ``flange`` (4, 4) transforms from the tcp to the last moving link. The limits are (n,); ``effort_limit``
-    is in N m. A continuous joint has the position limits -inf and inf. ``left_out`` names the links with
-    shapes that are not fixed to any link of the arm. ``transform_seat`` (4, 4) leads from the base link's
-    frame to the base frame; it is the identity until the arm is ``seated``.
+    All arrays are read-only. ``joint_origins`` (n, 4, 4) are the transforms from the frame of link i + 1 to
+    the frame of link i, with all joints at zero. ``joint_axes`` (n, 3) are the unit axes of the joints, each
+    in the frame of the link that it moves. ``flange`` (4, 4) transforms from the tcp to the last moving link.
+    The arrays of limits have the shape (n,). The entries of ``effort_limit`` are in N m. A continuous joint
+    has the position limits -inf and inf. ``left_out`` contains the names of links that have shapes but are
+    not fixed to any link of the arm. ``transform_seat`` (4, 4) transforms from the base link's frame to the
+    base frame. This transform is the identity until ``seated`` changes it.
     """
 
     name: str
@@ -123,7 +130,10 @@ class ArmModel:
 
     @cached_property
     def chain(self) -> ChainRecords:
-        """The joint frames, axes and flange for compiled code: a read-only record (1,) of ``chain_of(n)``."""
+        """The joint frames, axes and flange for compiled code, in a read-only record (1,).
+
+        Its type is ``chain_of(n)``.
+        """
         chain = np.zeros(1, chain_of(len(self.joint_names)))
         for name in chain.dtype.names or ():
             chain[name] = getattr(self, name)
@@ -133,14 +143,14 @@ class ArmModel:
     def seated(self, transform: NDArray[np.float64]) -> ArmModel:
         """Return the same arm with its base at another place.
 
-        ``transform`` (4, 4) leads from its base link to the base frame.
+        ``transform`` (4, 4) transforms from the arm's base link to the base frame.
         """
         origins = np.concatenate((product(transform, self.joint_origins[0])[None], self.joint_origins[1:]))
         return replace(self, joint_origins=origins, transform_seat=product(transform, self.transform_seat))
 
     @property
     def lacks(self) -> tuple[Lack, ...]:
-        """The numbers that the URDF does not state, each with the uses that need it."""
+        """The quantities that the URDF does not state. Each quantity comes with the uses that need it."""
         missing = [
             (self._joints(self.velocity_limit_radps), "speed", (Use.RUN,), "joint speed limits"),
             (self._joints(self.effort_limit), "effort", (Use.TORQUES, Use.PHYSICS), "joint torque limits"),
@@ -180,7 +190,7 @@ class ArmModel:
 def urdf_file(name: str) -> Path:
     """Return the URDF of the shipped arm ``name`` ("ur3", "ur5", "ur10").
 
-    Raise ``ArmModelError`` for another name.
+    Raise ``ArmModelError`` if no shipped arm has this name.
     """
     folder = DATA / "ur_description" / "urdf"
     file = folder / f"{name}_robot.urdf"
@@ -191,9 +201,10 @@ def urdf_file(name: str) -> Path:
 
 
 def resolved_urdf(arm: ArmModel, *, visuals: bool) -> str:
-    """Return an arm's URDF with absolute mesh paths and without links that are not fixed to the arm.
+    """Return an arm's URDF with absolute mesh paths.
 
-    The arm's base becomes the root. Unless ``visuals``, the result has no <visual> elements.
+    The result contains only the links that are fixed to the arm. The arm's base becomes the root. If
+    ``visuals`` is False, the result has no <visual> elements.
     """
     urdf = Urdf.read(arm.file, arm.text)
     for joint in urdf.root.findall("joint"):
@@ -227,19 +238,22 @@ def read_arm(
     text: bytes | None = None,
     meshes: bool = True,
 ) -> ArmModel:
-    """Return the arm between two links of a URDF, with three to eight turning joints and any fixed joints.
+    """Return the arm between two links of a URDF.
+
+    The arm has three to eight turning joints and any number of fixed joints.
 
     Args:
         file: The URDF.
-        base: The link that stands still. None: the only link without a joint above it.
-        tcp: The link at the end of the arm. None: the only link without a joint below it.
+        base: The link that does not move. None means the only link that is not the child of a joint.
+        tcp: The link at the end of the arm. None means the only link that is not the parent of a joint.
         packages: The folder of each NAME in package://NAME/PATH. The function seeks other packages in the
             URDF's folder and the folders above it, as NAME/PATH, then as PATH.
-        text: The URDF's bytes, used in place of the file.
-        meshes: False accepts a missing mesh file; its shape then has no ``file``.
+        text: The contents of the URDF. None means that the function reads the file.
+        meshes: Whether mesh files must exist. If they need not exist, the shape of a missing mesh has no
+            ``file``.
 
     Raises:
-        ArmFileError: The file has no such arm, or the arm cannot be used; the error states file and line.
+        ArmFileError: The file has no such arm, or the arm is unusable. The error states file and line.
 
     """
     text = read_bytes(file) if text is None else text
@@ -267,6 +281,7 @@ def read_arm(
         link_names=names,
         tcp_link=tcp,
         joint_origins=np.array(origins),
+        # The kernels take axes of length 1, which a URDF need not have.
         joint_axes=axes / np.linalg.norm(axes, axis=1, keepdims=True),
         flange=reduce(product, since) if since else np.eye(4),
         position_lower_rad=np.array([numbers.lower_rad for numbers in data]),
@@ -285,7 +300,7 @@ def read_arm(
 
 
 def _below(urdf: Urdf, base: str) -> Iterator[str]:
-    """Yield a note for each joint that could move the base, because the base stands still here."""
+    """Yield a note for each joint that could move the base, because the model has a fixed base."""
     link, passed = base, {base}
     while (joint := urdf.above.get(link)) is not None and (link := urdf.parent(joint)) not in passed:
         passed.add(link)
@@ -295,7 +310,10 @@ def _below(urdf: Urdf, base: str) -> Iterator[str]:
 
 
 class _Shapes:
-    """A collector of the shapes of the links ``names`` and of all links fixed to these."""
+    """A collector of shapes.
+
+    The collector takes the shapes of the links ``names`` and of all links that are fixed to these.
+    """
 
     def __init__(
         self, urdf: Urdf, names: tuple[str, ...], packages: Mapping[str, Path], meshes: bool
@@ -350,7 +368,10 @@ def _shape(
     packages: Mapping[str, Path],
     meshes: bool,
 ) -> Shape:
-    """Return the shape in a <collision> or <visual>; ``frame`` (4, 4) leads from the shape to the link."""
+    """Return the shape in a <collision> or <visual> element.
+
+    ``frame`` (4, 4) transforms from the shape to the link.
+    """
     inside = list(urdf.child(part, "geometry"))
     if len(inside) != 1 or inside[0].tag not in SIZES:
         tags = [element.tag for element in inside]
@@ -377,10 +398,11 @@ def _shape(
 def inertial(
     urdf: Urdf, link: ElementTree.Element
 ) -> tuple[float, NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return a link's mass [kg], its centre's frame (4, 4), and its inertia (3, 3) [kg m^2] about the centre.
+    """Return a link's mass [kg], the frame (4, 4) of its centre of mass, and its inertia [kg m^2].
 
-    Return None without an <inertial>. Raise ``ArmFileError`` unless a body of that mass can have the inertia.
-    A link without mass may have any inertia.
+    The inertia (3, 3) is about the centre of mass. Return None if the link has no <inertial>. Raise
+    ``ArmFileError`` if the stated inertia is impossible for a body of the stated mass. A link without mass
+    may have any inertia.
     """
     if link.find("inertial") is None:
         return None
@@ -392,6 +414,8 @@ def inertial(
     if mass < 0.0:
         raise urdf.error(urdf.child(inertial, "mass"), "a mass of 0 kg or more", f"{mass:g}")
     matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    # No principal moment of a body exceeds the sum of the other two. Some URDFs state such inertias all the
+    # same, so up to MOMENT_EXCESS is accepted.
     least, middle, most = eigen(matrix)[0].tolist()
     if mass > 0.0 and not (least > 0.0 and most <= MOMENT_EXCESS * (least + middle)):
         expected = "a possible inertia: moments above 0, the largest hardly above the sum of the two smaller"

@@ -1,7 +1,8 @@
-"""Compute the distance between the surfaces of a hand and of the arm's capsules at an instant.
+"""Compute the distance between a hand and the arm's capsules at an instant.
 
-A hand is a sphere about ``hand``, with a forearm: a capsule about the segment from ``hand`` to ``elbow``. A
-distance is the distance of the axes less both radii, so it is negative in penetration.
+A hand is a sphere about ``hand`` with a forearm. The forearm is a capsule about the segment from ``hand`` to
+``elbow``. The distance of two bodies is the distance of their axes less both radii, so it is negative if the
+bodies overlap.
 """
 
 from __future__ import annotations
@@ -32,10 +33,10 @@ CapsuleRecords = NDArray[np.void]  # (n,) CAPSULE
 def place_capsules(
     capsules: CapsuleRecords, transforms: ArrayNx4x4, capsule_endpoints_in_base_m_out: ArrayNx2x3
 ) -> None:
-    """Fill ``capsule_endpoints_in_base_m_out`` (n, 2, 3) with the axis ends of ``capsules`` (n,) CAPSULE.
+    """Fill ``capsule_endpoints_in_base_m_out`` (n, 2, 3) with the axis ends of the records ``capsules`` (n,).
 
-    p_base = T_link p_link for start and end, with the ``transforms`` T (n + 2, 4, 4) of
-    ``forward_kinematics`` for n joints.
+    The start and the end of each axis follow from p_base = T_link p_link. The ``transforms`` T (n + 2, 4, 4)
+    come from ``forward_kinematics`` for n joints.
     """
     for k in range(capsules.shape[0]):
         capsule = capsules[k]
@@ -56,13 +57,13 @@ def hand_distance(
     hand_radius_m: float,
     forearm_radius_m: float,
 ) -> tuple[float, int]:
-    """Return the least distance [m] of hand and forearm from the capsules, and the nearest capsule's index.
+    """Return the distance [m] of hand and forearm from the nearest capsule, and the index of that capsule.
 
     The distance is min over capsules c of min(|h, c| - r_h, |h e, c| - r_f) - r_c. Here |., .| is the
     distance of a point or segment from an axis, and r are the radii of hand, forearm and capsule.
-    ``capsules`` (n,) CAPSULE, ``capsule_endpoints_in_base_m`` (n, 2, 3) as ``place_capsules`` fills it,
-    ``hand`` h and ``elbow`` e (3,) [m] in the base frame. If any number that the function reads is NaN, it
-    returns NaN with the index of that capsule.
+    ``capsules`` (n,) contains records CAPSULE, and ``capsule_endpoints_in_base_m`` (n, 2, 3) comes from
+    ``place_capsules``. ``hand`` h and ``elbow`` e are positions (3,) [m] in the base frame. If the distance
+    of a capsule is NaN, the function returns NaN with the index of that capsule.
     """
     last = capsules.shape[0] - 1  # the arm's end first: usually the nearest
     return hand_distance_from(
@@ -80,15 +81,17 @@ def hand_distance_from(
     forearm_radius_m: float,
     likely: int,
 ) -> tuple[float, int]:
-    """Return the result of ``hand_distance``, with less work if ``likely`` is the nearest capsule.
+    """Return the result of ``hand_distance``.
 
-    The function then skips most of the other capsules by a bound on their distance.
+    The function needs less work if ``likely`` is the nearest capsule. A bound on the distance of the
+    remaining capsules then lets the function skip most of them.
     """
     best = np.inf
     nearest = -1
     thickest = max(hand_radius_m, forearm_radius_m)
     forearm_half = 0.5 * segment_length(hand, elbow)
     for turn in range(capsules.shape[0], -1, -1):
+        # The first turn is for the likely nearest capsule, so that its distance excludes most others.
         capsule = likely if turn == capsules.shape[0] else turn
         if turn == likely or capsule < 0:
             continue
@@ -111,6 +114,8 @@ def hand_distance_from(
             if turn < capsules.shape[0]:
                 return nan, capsule
             likely = -1  # search again in order, to return the first capsule with NaN
+        # Of equal distances the capsule with the larger index wins, so the result does not depend on
+        # ``likely``.
         elif distance < best or (distance == best and capsule > nearest):
             best = distance
             nearest = capsule
@@ -126,11 +131,14 @@ def segment_length(start: Array3, end: Array3) -> float:
 
 @compiled
 def chain_lengths(chains: ChainRecords, capsules: CapsuleRecords) -> NDArray[np.float64]:
-    """Return the greatest length (n,) [m] of the chain from each joint to a capsule's axis that it moves.
+    """Return the greatest length [m] of the chain from each joint to a capsule, shape (n,).
 
-    l_j = max over capsules and their ends p of |p| + sum of |o_i| over the joints i between j and the link.
-    Here o_i is the step from joint i - 1 to i. No joint position takes p farther than l_j from joint j.
-    ``chains`` (1,) of n joints, ``capsules`` (m,) CAPSULE.
+    The function considers the capsules that the joint moves.
+
+    The length l_j is the maximum of |p| + sum of |o_i| over all capsules and their ends p. The sum includes
+    the joints i between joint j and the capsule's link. Here o_i is the step from joint i - 1 to i. In any
+    joint position, the distance of p from joint j is at most l_j. ``chains`` (1,) is the record of a chain
+    with n joints, and ``capsules`` (m,) contains records CAPSULE.
     """
     origins, flange = chains[0].joint_origins, chains[0].flange
     n = origins.shape[0]
@@ -142,6 +150,7 @@ def chain_lengths(chains: ChainRecords, capsules: CapsuleRecords) -> NDArray[np.
             start += capsule.start_in_link[i] ** 2
             end += capsule.end_in_link[i] ** 2
         length = sqrt(max(start, end))
+        # The tool's capsules are in the TCP frame, so their chain includes the flange.
         if capsule.link_index == n + 1:
             length += sqrt(flange[0, 3] ** 2 + flange[1, 3] ** 2 + flange[2, 3] ** 2)
         for joint in range(min(capsule.link_index, n) - 1, -1, -1):

@@ -1,9 +1,9 @@
 """Model the arm's drives, which follow a demanded joint velocity and need time for a protective stop.
 
 Both worlds put the drives between the controller's command and the motors. The robot performs a protective
-stop by itself. During the reaction time the drives keep their velocity. Then they brake uniformly to zero
-within T_s(v) = base + slope v, where v is the TCP speed when braking begins. A stop that has begun ends only
-at standstill, whatever the controller commands meanwhile.
+stop by itself. During the reaction time the drives keep their velocity. After the reaction time, the drives
+brake uniformly to zero within T_s(v) = base + slope v, where v is the TCP speed when braking begins. A stop
+that has begun ends only at standstill, whatever the controller commands meanwhile.
 
 Drives with a ``DriveModel`` follow a demand after a dead time and with a lag. If a joint's torque would
 exceed its limit, a single factor scales back the change of all set points, also while braking. Drives with a
@@ -35,8 +35,8 @@ MOST_DELAY_TICKS = 100  # the longest dead time, in control periods of the short
 class DriveModel:
     """The dynamics with which drives follow a demand.
 
-    ``lag_s`` is the time constant of the lag. ``torque_limit_nm`` (n,) applies only with ``masses``; without
-    masses the torque is unlimited.
+    ``lag_s`` is the time constant of the lag. ``torque_limit_nm`` (n,) limits the torque only if ``masses``
+    is given. Otherwise the torque is unlimited.
     """
 
     dead_time_s: float = 0.0
@@ -77,18 +77,23 @@ def drive_dtype(joints: int) -> np.dtype[Any]:
 
 
 def delay_ticks(dead_time_s: float, period_s: float) -> int:
-    """Return ``dead_time_s`` in whole control periods of ``period_s``, rounded up."""
+    """Return the number of control periods in ``dead_time_s``, rounded up.
+
+    A control period lasts ``period_s``.
+    """
     return ceil(dead_time_s / period_s - 1e-9)  # 1e-9, because 0.07 / 0.01 is above 7 in float64
 
 
 def settled_s(model: DriveModel | None, period_s: float) -> float:
-    """Return the time [s] after which drives follow a constant demand; 0 without a model.
+    """Return the time [s] after which drives follow a constant demand, or 0 without a model.
 
-    After this time, a lag has covered all except a thousandth of the change. The torques must suffice for it.
+    After this time, the remaining error of a lag is less than a thousandth of the change. The drives follow
+    in this time only if the torques suffice for the change.
     """
     if model is None:
         return 0.0
     gradual = model.lag_s > 0.0 or model.masses is not None
+    # exp(-7) is 0.0009: after seven time constants, less than a thousandth of the change remains.
     return delay_ticks(model.dead_time_s, period_s) * period_s + 7.0 * model.lag_s + gradual * period_s
 
 
@@ -99,9 +104,9 @@ def drive(settings: Settings, joints: int, model: DriveModel | None = None) -> D
     """Return a record DRIVE (1,) at rest.
 
     Args:
-        settings: The settings, for the clock and the braking times.
+        settings: The settings, with the clock and the braking times.
         joints: The number of joints.
-        model: The dynamics of the drives. None: they follow a demand at once.
+        model: The dynamics of the drives. None means that the drives follow a demand at once.
 
     """
     drives = np.zeros(1, drive_dtype(joints))
@@ -124,12 +129,13 @@ def drive(settings: Settings, joints: int, model: DriveModel | None = None) -> D
 def drive_tick(
     drives: DriveRecords, demanded_radps: ArrayN, protective_stop: bool, tcp_speed_mps: float, time_s: float
 ) -> bool:
-    """Set ``setpoint_radps`` for the tick that begins at ``time_s``; return True during a protective stop.
+    """Fill the drives' field ``setpoint_radps`` for the tick that begins at ``time_s``.
 
-    The set point of a braking tick is q' = q'_b max(0, 1 - (t + dt/2 - t_b)/T_s). Here q'_b [rad/s] is the
-    set point when braking began, at t_b = t_requested + T_r with the reaction time T_r. T_s = base + slope v,
-    with the TCP's speed v at t_b. The tick uses the ramp's value at its middle, t + dt/2. So the covered
-    distance is the integral of the ramp.
+    Return True during a protective stop. The set point of a braking tick is q' = q'_b max(0, 1 - (t + dt/2 -
+    t_b)/T_s). Here q'_b [rad/s] is the set point when braking began, at t_b = t_requested + T_r with the
+    reaction time T_r. The braking time is T_s = base + slope v, in which v is the TCP's speed at t_b. The set
+    point is the value of this ramp at the middle of the tick, t + dt/2. So the covered distance is the
+    integral of the ramp.
     """
     d = drives[0]
     copy_vector(d.setpoint_radps, d.before_radps)
@@ -143,6 +149,7 @@ def drive_tick(
     if not d.stopping:
         _follow(drives, demanded_radps)
         return False
+    # 1e-9 s, because the time of a tick is a rounded product.
     if not d.braking and time_s >= d.requested_at_s + d.reaction_time_s - 1e-9:
         d.braking = True
         d.braking_from_s = time_s
@@ -172,11 +179,13 @@ def _stand_still(drives: DriveRecords) -> bool:
 
 @inlined
 def _follow(drives: DriveRecords, demanded_radps: ArrayN) -> None:
-    """Set ``setpoint_radps`` to u + (1 - exp(-dt/T)) (d - u), with the demand d of a dead time ago.
+    """Set ``setpoint_radps`` to u + (1 - exp(-dt/T)) (d - u).
 
-    u is the last set point. A first-order lag with the time constant T reaches this value within the tick dt.
+    Here u is the last set point, and d is the demand that is one dead time old. A first-order lag with the
+    time constant T reaches this value within the tick dt.
     """
     d = drives[0]
+    # The ring holds one demand per tick of dead time: read the oldest, then put the new one in its place.
     row = d.oldest
     for i in range(d.setpoint_radps.shape[0]):
         demand = demanded_radps[i]
@@ -192,7 +201,10 @@ def _follow(drives: DriveRecords, demanded_radps: ArrayN) -> None:
 
 @inlined
 def tell_motors(drives: DriveRecords, commanded_radps: ArrayN) -> None:
-    """Fill ``commanded_radps`` (n,) with the set points, or with the tick's mean if they change gradually."""
+    """Fill ``commanded_radps`` (n,) with the set points for the motors.
+
+    If the set points change gradually, the function uses their mean over the tick.
+    """
     d = drives[0]
     for i in range(commanded_radps.shape[0]):
         setpoint = d.setpoint_radps[i]
@@ -201,16 +213,18 @@ def tell_motors(drives: DriveRecords, commanded_radps: ArrayN) -> None:
 
 @compiled
 def limit_torques(drives: DriveRecords, joint_axes: ArrayNx3, transforms: ArrayNx4x4) -> None:
-    """Scale back the tick's change of ``setpoint_radps`` until the torque of every joint suffices.
+    """Scale back the change of ``setpoint_radps`` in this tick, so that the torque of every joint suffices.
 
-    A single factor for all joints keeps the direction of the change. The torque that the present motion needs
-    against gravity comes first. If this torque alone exceeds a limit, the function makes only a change that
-    brings the torque back within the limit. ``transforms`` (n + 2, 4, 4) come from ``forward_kinematics`` at
-    the arm's position; ``joint_axes`` (n, 3).
+    A single factor for all joints keeps the direction of the change. The torque that keeps the arm in its
+    present motion has priority. If this torque alone exceeds a limit, the function makes only a change that
+    brings the torque back within the limit. ``transforms`` (n + 2, 4, 4) are the result of
+    ``forward_kinematics`` for the arm's position, and ``joint_axes`` has the shape (n, 3).
     """
     d = drives[0]
     n = joint_axes.shape[0]
     change, bias, wanted = np.zeros(n), np.empty(n), np.empty(n)
+    # The first call, without acceleration, gives the torque that keeps the present motion; the second adds
+    # the change. Torque is linear in acceleration, so one factor between the two suffices.
     joint_torques(joint_axes, transforms, d.masses, d.before_radps, change, bias)
     for i in range(n):
         change[i] = (d.setpoint_radps[i] - d.before_radps[i]) / d.control_period_s

@@ -15,13 +15,14 @@ from safety_harness.cell.robot.description import ArmModel, inertial
 from safety_harness.cell.robot.kinematics import links_in_base
 from safety_harness.cell.robot.urdf import Urdf
 
+# A choice; PyBullet's world uses the same number, so both worlds compute the same torques.
 GRAVITY_MPS2 = 9.81
 Triple = tuple[float, float, float]
 
 
 @lru_cache
 def masses_dtype(joints: int) -> np.dtype[Any]:
-    """Return the record type for the masses of ``joints`` links, each given in the frame of its link."""
+    """Return the record type for the masses of ``joints`` links, each in the frame of its link."""
     return np.dtype(
         [
             ("mass_kg", np.float64, (joints,)),
@@ -33,14 +34,16 @@ def masses_dtype(joints: int) -> np.dtype[Any]:
 
 
 def link_masses(arm: ArmModel, payload_kg: float = 0.0, payload_in_link_m: Array3 | None = None) -> np.void:
-    """Return the record of the masses of the moving links, each including everything fixed to it.
+    """Return the record of the moving links' masses.
 
-    A link without mass has no inertia, even if the URDF states one.
+    A link includes everything that is fixed to it. A link without mass has no inertia, even if the URDF
+    states one.
 
     Args:
         arm: The arm.
         payload_kg: A point mass that the last link carries.
-        payload_in_link_m: The payload's place (3,) in the frame of the last link. None: no payload.
+        payload_in_link_m: The position of the payload (3,) in the frame of the last link. None means that
+            there is no payload.
 
     Raises:
         ArmFileError: A moving link has no mass.
@@ -56,6 +59,8 @@ def link_masses(arm: ArmModel, payload_kg: float = 0.0, payload_in_link_m: Array
         kg, pose, inertia = link_inertial
         for frame in reversed(frames):
             pose = product(frame, pose)
+        # Moments of mass about the link's origin simply add up. The parallel axis theorem (``_spread``) moves
+        # them there, and below from there to the centre of mass.
         mass[k] += kg
         first[k] += kg * pose[:3, 3]
         if kg > 0.0:
@@ -75,7 +80,7 @@ def link_masses(arm: ArmModel, payload_kg: float = 0.0, payload_in_link_m: Array
 
 
 def _spread(at_m: Array3) -> NDArray[np.float64]:
-    """Return the inertia (3, 3) about the origin of a point mass of 1 kg at ``at_m`` (3,)."""
+    """Return the inertia (3, 3) of a point mass of 1 kg at ``at_m`` (3,), relative to the origin."""
     return float(product(at_m, at_m)) * np.eye(3) - np.outer(at_m, at_m)
 
 
@@ -91,17 +96,18 @@ def joint_torques(
     """Fill ``torques_out`` (n,) [N m] with M(q) q'' + C(q, q') q' + g(q), by recursive Newton-Euler.
 
     All vectors are in the base frame, whose z points up. An upward acceleration g of the base stands for
-    gravity. The first pass goes outwards from the base. Link i turns with w_i = w_(i-1) + a_i q'_i, and its
-    origin accelerates as a point of link i - 1. At the link's centre of mass c, the force is m c'' and the
-    moment I w' + w x I w. The second pass adds forces and moments inwards from the TCP. The torque of joint i
-    is the sum's moment about the joint's axis a_i. (Luh, Walker and Paul 1980; Lynch and Park, Modern
-    Robotics, 2017, 8.3.)
+    gravity. The first pass goes outwards from the base. The angular velocity of link i is w_i = w_(i-1) + a_i
+    q'_i. The origin of link i has the same acceleration as if it were a point of link i - 1. At the link's
+    centre of mass c, the force is m c'' and the moment I w' + w x I w. The second pass adds forces and
+    moments inwards from the TCP. The torque of joint i is the component of the total moment along the joint's
+    axis a_i. (Luh, Walker and Paul 1980; Lynch and Park, Modern Robotics, 2017, 8.3.)
 
-    ``transforms`` (n + 2, 4, 4) come from ``forward_kinematics``; ``joint_axes`` (n, 3).
+    ``transforms`` (n + 2, 4, 4) come from ``forward_kinematics``, and ``joint_axes`` has the shape (n, 3).
     """
     n = joint_axes.shape[0]
     axes, forces, moments = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3))
     turn, turn_change, accel = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, GRAVITY_MPS2)
+    # Outwards: the motion of each link, then the force and the moment that this motion needs.
     for k in range(n):
         pose, rate = transforms[k + 1], velocity_radps[k]
         accel = _plus(accel, 1.0, _carried(turn, turn_change, _from_to(transforms, k, k + 1)))
@@ -116,6 +122,7 @@ def joint_torques(
         moment = _plus(moment, 1.0, _cross(turn, _inertia_times(pose, masses.inertia_kgm2[k], turn)))
         for i in range(3):
             axes[k, i], forces[k, i], moments[k, i] = axis[i], force[i], moment[i]
+    # Inwards: each joint carries its own link and the force and moment of all outer links.
     for k in range(n - 1, -1, -1):
         if k < n - 1:
             passed = (forces[k + 1, 0], forces[k + 1, 1], forces[k + 1, 2])
@@ -131,7 +138,7 @@ def holding_torques(arm: ArmModel, masses: np.void, joint_position_rad: ArrayN) 
 
     Args:
         arm: The arm.
-        masses: The arm's record of ``link_masses``.
+        masses: The arm's record from ``link_masses``.
         joint_position_rad: The arm's joint position (n,).
 
     """
@@ -144,11 +151,13 @@ def holding_torques(arm: ArmModel, masses: np.void, joint_position_rad: ArrayN) 
 def torque_share(bias: ArrayN, wanted: ArrayN, limit: ArrayN) -> float:
     """Return the largest s in [0, 1] for which |bias + s (wanted - bias)| <= limit in every joint.
 
-    All torques are (n,) [N m]. ``bias`` keeps the arm in its present motion; ``wanted`` also accelerates it.
-    Return 0 if no such s exists. The function ignores a joint whose torque is the same for every s.
+    All torques are (n,) [N m]. The torques ``bias`` keep the arm in its present motion, and the torques
+    ``wanted`` also accelerate the arm. Return 0 if no such s exists. The function ignores a joint whose
+    torque is the same for every s.
     """
     least, most = 0.0, 1.0
     for i in range(bias.shape[0]):
+        # The torque is linear in s, so each joint allows an interval of s. The intervals are intersected.
         added = wanted[i] - bias[i]
         if added != 0.0:
             at_lower, at_upper = (-limit[i] - bias[i]) / added, (limit[i] - bias[i]) / added
@@ -170,20 +179,29 @@ def _plus(a: Triple, factor: float, b: Triple) -> Triple:
 
 @inlined
 def _carried(turn: Triple, turn_change: Triple, lever: Triple) -> Triple:
-    """Return the acceleration w' x r + w x (w x r) of a body's point at ``lever`` r from another point."""
+    """Return the acceleration of a point of a body relative to another point of the body.
+
+    The result is w' x r + w x (w x r), in which r is ``lever``.
+    """
     return _plus(_cross(turn_change, lever), 1.0, _cross(turn, _cross(turn, lever)))
 
 
 @inlined
 def _from_to(transforms: ArrayNx4x4, k: int, j: int) -> Triple:
-    """Return the vector from the origin of frame k to the origin of frame j; ``transforms`` (n + 2, 4, 4)."""
+    """Return the vector from the origin of frame k to the origin of frame j.
+
+    ``transforms`` has the shape (n + 2, 4, 4).
+    """
     a, b = transforms[k], transforms[j]
     return b[0, 3] - a[0, 3], b[1, 3] - a[1, 3], b[2, 3] - a[2, 3]
 
 
 @inlined
 def _turned(pose: Array4x4, vector: Array3) -> Triple:
-    """Return a link's ``vector`` (3,), turned into the base frame by the link's ``pose`` (4, 4)."""
+    """Return a link's vector in the base frame.
+
+    ``vector`` (3,) is in the link's frame, and ``pose`` (4, 4) is the link's pose.
+    """
     x, y, z = vector[0], vector[1], vector[2]
     return (
         pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z,
@@ -194,7 +212,12 @@ def _turned(pose: Array4x4, vector: Array3) -> Triple:
 
 @inlined
 def _inertia_times(pose: Array4x4, inertia: NDArray[np.float64], v: Triple) -> Triple:
-    """Return R I R^T v for a link: ``inertia`` I (3, 3) in its frame, R the rotation of ``pose`` (4, 4)."""
+    """Return the product R I R^T v of a link's inertia and a vector v in the base frame.
+
+    I is ``inertia`` (3, 3), which is in the link's frame. R is the rotation in ``pose`` (4, 4), which is the
+    pose of the link.
+    """
+    # Rotate v into the link's frame, where the inertia is constant, and the product back.
     x = pose[0, 0] * v[0] + pose[1, 0] * v[1] + pose[2, 0] * v[2]
     y = pose[0, 1] * v[0] + pose[1, 1] * v[1] + pose[2, 1] * v[2]
     z = pose[0, 2] * v[0] + pose[1, 2] * v[1] + pose[2, 2] * v[2]

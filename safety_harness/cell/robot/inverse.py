@@ -1,4 +1,4 @@
-"""Solve inverse kinematics: the branches of a pose, the nearest branch, and straight paths of the TCP."""
+"""Find the joint positions of a pose, the position nearest to a reference, and straight paths of the TCP."""
 
 from __future__ import annotations
 
@@ -40,15 +40,18 @@ from safety_harness.cell.robot.numeric_inverse import (
 MENDED_POSE = 1e-6  # the largest error of a branch's pose that is polished
 MOST_POLISHING = 4  # steps
 POLISH_DAMPING = 1e-6  # steps do not use the directions of smaller singular values
+# ``reach_along`` may fall short by this. Claims that judge a reach allow for it
+# (claims/properties/positions).
 REACH_RESOLUTION_M = 1e-4
 MOST_STEPS = 4000  # of ``straight_way``
 
 
 class InverseKinematics:
-    """The joint positions of poses: in closed form for the wrist of the UR family, else numeric.
+    """A solver for the inverse kinematics of an arm.
 
-    An arm with more than six joints has infinitely many joint positions for a pose. An arm with fewer than
-    six joints can take only some poses.
+    The solver uses a closed form for the wrist of the UR family, and a numeric method for other arms. An arm
+    with more than six joints has infinitely many joint positions for a pose. An arm with fewer than six
+    joints can take only some poses.
     """
 
     def __init__(self, arm: ArmModel) -> None:
@@ -57,15 +60,16 @@ class InverseKinematics:
         self._starts = starts_of(arm)
 
     def branches(self, transform_tcp_to_base: Array4x4) -> NDArray[np.float64]:
-        """Return all joint positions (k, n) [rad] of a pose, wrapped into (-pi, pi]; k = 0 out of reach.
+        """Return all joint positions of a pose, wrapped into (-pi, pi], shape (k, n) [rad].
 
-        The method checks each position by forward kinematics, to 1e-9 in metres and in entries of the
-        rotation. The closed form gives two shoulders, two wrists and two elbows, in the order of
-        ``candidate_branches``. Positions less than 1e-6 rad apart, as at a singularity, count as the same.
-        The method ignores position limits. At a wrist singularity (|sin theta_5| below 5e-10) joints can move
-        while the TCP stays. The result then contains only some of the possible positions. The numeric inverse
-        returns the positions that it finds from 200 starts. For more than six joints these are some of
-        infinitely many.
+        If the pose is out of reach, k is 0. The method checks each position by forward kinematics. The
+        tolerance is 1e-9, both for positions in metres and for the entries of the rotation matrix. The closed
+        form gives two shoulders, two wrists and two elbows, in the order of ``candidate_branches``. Positions
+        less than 1e-6 rad apart count as the same, for example at a singularity. The method ignores position
+        limits. At a wrist singularity (|sin theta_5| below 5e-10) joints can move while the TCP stays. The
+        result then contains only some of the possible positions. The numeric inverse returns the positions
+        that it finds from 200 starts. An arm with more than six joints has infinitely many positions, so
+        these are only some of them.
 
         Args:
             transform_tcp_to_base: The pose (4, 4).
@@ -79,12 +83,12 @@ class InverseKinematics:
     def nearest(
         self, transform_tcp_to_base: Array4x4, reference_joint_position: Array6
     ) -> NDArray[np.float64] | None:
-        """Return the joint position (n,) of a pose that is nearest to a reference; None without a solution.
+        """Return the joint position (n,) of a pose that is nearest to a reference.
 
-        The solution is within the position limits. The distance is Euclidean in joint angles. The method also
-        tries full turns of each joint. The numeric inverse moves each solution along its self-motion to the
-        least distance. It first searches from the reference itself, and stops if this leads to a solution
-        within 0.5 rad.
+        Return None if there is no solution. The solution is within the position limits. The distance is
+        Euclidean in joint angles. The method also tries full turns of each joint. The numeric inverse moves
+        each solution along its self-motion to the least distance. The numeric inverse first searches from the
+        reference itself, and stops if it finds a solution within 0.5 rad.
 
         Args:
             transform_tcp_to_base: The pose (4, 4).
@@ -99,7 +103,9 @@ class InverseKinematics:
         transforms_tcp_to_base: NDArray[np.float64],  # (m, 4, 4)
         reference_joint_position: Array6,
     ) -> NDArray[np.float64]:
-        """Return ``nearest`` of many poses (m, n); a pose without a solution within the limits gives NaN.
+        """Return the result of ``nearest`` for each of many poses, shape (m, n).
+
+        A pose without a solution within the limits gives NaN.
 
         Args:
             transforms_tcp_to_base: The poses (m, 4, 4).
@@ -118,13 +124,13 @@ class InverseKinematics:
         transforms_tcp_to_base: NDArray[np.float64],  # (m, 4, 4)
         joint_position_rad: Array6,
     ) -> NDArray[np.float64]:
-        """Return for each pose in turn the solution nearest to the previous pose's solution, (m, n).
+        """Return a solution for each pose, as near as possible to the previous solution, shape (m, n).
 
-        From the first pose without a solution within the limits on, all rows are NaN.
+        If a pose has no solution within the limits, its row and all later rows are NaN.
 
         Args:
             transforms_tcp_to_base: The poses (m, 4, 4).
-            joint_position_rad: The joint position (n,) to which the first solution is nearest.
+            joint_position_rad: The joint position (n,) from which the first solution has the least distance.
 
         """
         poses, joints = np.array(transforms_tcp_to_base), np.array(joint_position_rad)
@@ -146,18 +152,19 @@ class InverseKinematics:
         step_m: float = 0.005,
         min_singular_value: float,
     ) -> float:
-        """Return how far [m] the TCP can go straight along a direction without a turn, at most ``length_m``.
+        """Return how far [m] the TCP can move straight along a direction without a rotation.
 
-        On this path the joints move continuously within the position limits. Every singular value of the
-        Jacobian stays above ``min_singular_value``. If there are more than six joints, they take the least
-        steps. The result is at most 0.1 mm too short. It is 0 if the start itself violates these bounds.
+        The result is at most ``length_m``. On this path the joints move continuously within the position
+        limits. Every singular value of the Jacobian stays above ``min_singular_value``. An arm with more than
+        six joints makes the shortest joint steps. The result is at most 0.1 mm too short. The result is 0 if
+        the start itself violates these bounds.
 
         Args:
             joint_position_rad: The start (n,).
             direction_in_base: The direction (3,), of any length above 0.
-            length_m: The longest result, at which the method ends.
+            length_m: The largest possible result [m]. The method ends when the path has this length.
             step_m: The longest distance between two checks.
-            min_singular_value: The bound of the singular values, above 0.
+            min_singular_value: The lower bound of the singular values, greater than 0.
 
         Raises:
             ValueError: The direction has no length, or a number is not valid.
@@ -178,7 +185,10 @@ class InverseKinematics:
 
 @compiled
 def _branches(chains: ChainRecords, geometries: ArmGeometryRecords, pose: Array4x4) -> ArrayNx6:
-    """Return the candidates (k, 6) that give ``pose`` (4, 4), each once even if repeated up to rounding."""
+    """Return the candidates (k, 6) that give ``pose`` (4, 4).
+
+    Candidates that agree up to rounding appear only once.
+    """
     candidates, transforms = np.empty((AT_ONCE, 6)), np.empty((FRAMES, 4, 4))
     kept = 0
     for k in range(candidate_branches(geometries[0], pose, candidates)):
@@ -190,10 +200,11 @@ def _branches(chains: ChainRecords, geometries: ArmGeometryRecords, pose: Array4
 
 @compiled
 def _gives(chains: ChainRecords, pose: Array4x4, joints: Array6, transforms: ArrayNx4x4) -> bool:
-    """Wrap and polish ``joints`` (6,); return whether they give ``pose`` to EXACT_POSE in every entry.
+    """Wrap and polish ``joints`` (6,), and return whether they give ``pose``.
 
-    Near a singularity, the joints change by the square root of the pose's rounding. Steps of ``_polish``
-    correct this. The function writes ``joints`` and ``transforms``.
+    Every entry of the pose must agree to EXACT_POSE. Near a singularity, a rounding error e of the pose
+    changes the joints by about the square root of e. Steps of ``_polish`` correct this error. The function
+    overwrites ``joints`` and ``transforms``.
     """
     for _ in range(MOST_POLISHING):
         exact = nearly = True
@@ -213,8 +224,9 @@ def _gives(chains: ChainRecords, pose: Array4x4, joints: Array6, transforms: Arr
 def _polish(chains: ChainRecords, pose: Array4x4, joints: Array6, transforms: ArrayNx4x4) -> bool:
     """Move ``joints`` by a damped Newton step towards ``pose``: (J^T J + d^2 I) dq = J^T e.
 
-    J is the Jacobian, d is POLISH_DAMPING, and e = (p* - p, log(R* R^T)) as in ``follow_pose``.
-    ``transforms`` belong to ``joints``. Return False if the equation has no solution.
+    Here J is the Jacobian, d is POLISH_DAMPING, and e = (p* - p, log(R* R^T)) is the same as in
+    ``follow_pose``. ``transforms`` must be the transforms at ``joints``. Return False if the equation has no
+    solution.
     """
     jacobian, matrix = np.empty((6, 6)), np.empty((6, 6))
     error, step = np.empty(6), np.empty(6)
@@ -242,10 +254,10 @@ def _nearest_of_each(
     poses: NDArray[np.float64],  # (n, 4, 4)
     reference: Array6,
 ) -> ArrayNx6:
-    """Return for each pose the branch, with full turns within the limits, nearest to ``reference`` (n, 6).
+    """Return the branch within the limits that is nearest to ``reference`` for each pose, shape (n, 6).
 
-    This is argmin over branches q and turns k of |q + 2 pi k - reference|, joint by joint in [lower, upper].
-    A pose without a solution gives NaN.
+    This branch minimises |q + 2 pi k - reference| over all branches q and all full turns k of the joints. A
+    pose without a solution gives NaN.
     """
     solutions = np.full((poses.shape[0], 6), np.nan)
     candidates, transforms, turned = np.empty((AT_ONCE, 6)), np.empty((FRAMES, 4, 4)), np.empty(6)
@@ -261,9 +273,10 @@ def _followed(
     poses: NDArray[np.float64],  # (n, 4, 4)
     reference: Array6,
 ) -> ArrayNx6:
-    """Return for each pose the solution nearest to the previous pose's solution (n, 6), or NaN.
+    """Return a solution for each pose, as near as possible to the previous solution, shape (n, 6).
 
-    The first solution is the nearest to ``reference``.
+    If a pose has no solution, its row and all later rows are NaN. The first solution is as near as possible
+    to ``reference``.
     """
     solutions = np.full((poses.shape[0], 6), np.nan)
     candidates, transforms, turned = np.empty((AT_ONCE, 6)), np.empty((FRAMES, 4, 4)), np.empty(6)
@@ -286,7 +299,10 @@ def _nearest(
     turned: Array6,
     solution: Array6,  # written, if there is one
 ) -> bool:
-    """Fill ``solution`` for one pose of ``_nearest_of_each``; return False without a solution."""
+    """Fill ``solution`` for a single pose, as ``_nearest_of_each`` does for many poses.
+
+    Return whether there is a solution.
+    """
     best = np.inf
     for k in range(candidate_branches(geometries[0], pose, candidates)):
         # The distance first: the check of the pose takes longer.
@@ -302,13 +318,15 @@ def _nearest(
 
 @compiled
 def _turned_towards(geometries: ArmGeometryRecords, reference: Array6, joints: Array6, out: Array6) -> float:
-    """Fill ``out`` with the full turns of ``joints`` within the limits that are nearest to ``reference``.
+    """Fill ``out`` with ``joints`` plus full turns, as near to ``reference`` as the position limits allow.
 
-    Return the distance [rad] from ``reference``, or infinity if a joint has no turn within its limits.
+    Return the distance [rad] from ``reference``, or infinity if a joint has no equivalent angle within its
+    limits.
     """
     total = 0.0
     for i in range(6):
         least, wrapped = np.inf, wrapped_rad(joints[i])
+        # Enough for limits of up to two and a half turns to either side; a UR's are one turn.
         for turn in range(-2, 3):
             angle = wrapped + turn * (2.0 * pi)
             away = abs(angle - reference[i])
@@ -329,16 +347,18 @@ def _straight_reach(
     step_m: float,
     min_singular_value: float,
 ) -> float:
-    """Return how far [m] the TCP can follow p + s d with constant orientation, from the joints ``start_rad``.
+    """Return how far [m] the TCP can move along p + s d with constant orientation.
 
-    p is the TCP at the start, d the ``direction`` of length 1. Each failure of ``follow_pose`` or
-    ``_acceptable`` halves the step of s; each success doubles it.
+    The joints start at ``start_rad``, where the TCP is at p. The vector d is ``direction``, whose length is
+    1. The function halves the step of s if ``follow_pose`` or ``_acceptable`` fails, and doubles it after a
+    success.
     """
     n = start_rad.shape[0]
     transforms = np.empty((n + 2, 4, 4))
     jacobian = np.empty((6, n))
     forward_kinematics(chains[0], start_rad, transforms)
     geometric_jacobian(chains[0].joint_axes, transforms, jacobian)
+    # A start beyond the bounds has no reach, even if the first step would lead back.
     if not _acceptable(start_rad, lower_rad, upper_rad, jacobian, min_singular_value):
         return 0.0
     start_pose = transforms[n + 1].copy()
@@ -357,6 +377,7 @@ def _straight_reach(
             copy_vector(trial, joints)
             reached += forward
             step = min(2.0 * step, step_m)
+        # The boundary is within the resolution: bisect no further.
         elif forward <= REACH_RESOLUTION_M:
             break
         else:
@@ -368,7 +389,7 @@ def _straight_reach(
 def _acceptable(
     joints: Array6, lower_rad: Array6, upper_rad: Array6, jacobian: Array6x6, min_singular_value: float
 ) -> bool:
-    """Return whether ``joints`` (n,) are within their limits, and the singular values above the bound."""
+    """Return whether ``joints`` (n,) are within their limits and the singular values are above the bound."""
     for i in range(joints.shape[0]):
         if not (lower_rad[i] <= joints[i] <= upper_rad[i]):
             return False
@@ -379,20 +400,23 @@ def _acceptable(
 def follow_pose(
     chains: ChainRecords, target: Array4x4, joints: Array6, transforms: ArrayNx4x4, jacobian: Array6x6
 ) -> bool:
-    """Carry ``joints`` (overwritten) to the pose ``target`` on the same branch, by Newton's method.
+    """Move ``joints`` to the pose ``target`` on the same branch, by Newton's method.
 
-    A step is J dq = e = (p* - p, log(R* R^T)), q <- q + dq, with the pose (R, p) at q and the target (R*,
-    p*). Both are in the base frame [m]; log is a rotation's vector [rad]. (Lynch and Park, Modern Robotics,
-    2017, 6.2.) The first step is a prediction. All later steps together may correct it by at most half of its
-    own size. Otherwise the prediction was poor, and the solution may belong to another branch. The function
-    then returns False. For more than six joints dq is the least step J^T (J J^T)^-1 e; fewer joints cannot
-    follow. The function writes ``transforms`` and ``jacobian``. On success both belong to the solution.
+    The function overwrites ``joints``. Let (R, p) be the pose at the joints q, and let (R*, p*) be the
+    target. Both poses are in the base frame [m]. A step solves J dq = e for dq and replaces q by q + dq. Here
+    e = (p* - p, log(R* R^T)), in which log gives a rotation vector [rad]. Lynch and Park describe the method
+    (Modern Robotics, 2017, section 6.2). The first step is a prediction. All later steps in total may correct
+    the first step by at most half of its size. Otherwise the prediction was poor, and the solution may belong
+    to another branch. The function then returns False. For more than six joints, dq is the shortest step, J^T
+    (J J^T)^-1 e. An arm with fewer than six joints cannot follow. The function writes ``transforms`` and
+    ``jacobian``. On success, ``transforms`` and ``jacobian`` belong to the solution.
     """
     n = joints.shape[0]
     step, twist = np.empty(n), np.empty(6)
     matrix = np.empty((6, 6))
     predicted = 0.0
     corrected = 0.0
+    # Newton's method converges quadratically, so more steps mean that it does not converge.
     for iteration in range(8):
         forward_kinematics(chains[0], joints, transforms)
         geometric_jacobian(chains[0].joint_axes, transforms, jacobian)
@@ -400,6 +424,7 @@ def follow_pose(
         largest = 0.0
         for i in range(6):
             largest = max(largest, abs(twist[i]))
+        # Below EXACT_POSE, so a followed pose also passes the check of the closed form.
         if iteration > 0 and largest < 1e-10:
             return True
         if n == 6:
@@ -425,10 +450,11 @@ def follow_pose(
 def straight_way(
     arm: ArmModel, joint_position_rad: Array6, position_in_base_m: Array3, *, step_m: float
 ) -> NDArray[np.float64]:
-    """Return joint positions (k, n), k >= 1, along a straight path of the TCP with constant orientation.
+    """Return joint positions along a straight path of the TCP with constant orientation, shape (k, n).
 
-    Neighbouring rows are at most ``step_m`` of the path apart, or more if the path had over 4000 steps. The
-    rows end where the arm cannot follow continuously. The function ignores position limits and singularities.
+    The TCP moves at most ``step_m`` between two rows. If the path would then need over 4000 steps, the steps
+    are longer. The rows end where the arm cannot follow continuously, and there is at least one row. The
+    function ignores position limits and singularities.
 
     Args:
         arm: The arm.
@@ -443,7 +469,10 @@ def straight_way(
 
 @compiled
 def _straight_way(chains: ChainRecords, start_rad: Array6, end_in_base_m: Array3, step_m: float) -> ArrayNx6:
-    """Return joints (k, n) with the TCP at p + i/m (p* - p), i = 0 to m, until ``follow_pose`` fails."""
+    """Return joint positions (k, n) with the TCP at p + i/m (p* - p), for i from 0 to m.
+
+    The rows end where ``follow_pose`` fails.
+    """
     joint_count = start_rad.shape[0]
     transforms, jacobian = np.empty((joint_count + 2, 4, 4)), np.empty((6, joint_count))
     forward_kinematics(chains[0], start_rad, transforms)
@@ -452,6 +481,7 @@ def _straight_way(chains: ChainRecords, start_rad: Array6, end_in_base_m: Array3
     squared = 0.0
     for i in range(3):
         squared += (end_in_base_m[i] - start_pose[i, 3]) ** 2
+    # A far target gets longer steps, so that it cannot exhaust time and memory.
     steps = int(min(ceil(sqrt(squared) / step_m), MOST_STEPS))
     rows = np.empty((steps + 1, joint_count))
     copy_vector(start_rad, rows[0])

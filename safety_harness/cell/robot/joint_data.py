@@ -1,9 +1,9 @@
 """Read the axis and the limits of a URDF's turning joint, and note the numbers that are unknown.
 
-A URDF for display leaves out some numbers or sets them to 0. Most files of industrial arms do so with efforts
-and speeds. Here such a number is unknown (NaN), and a command that needs it asks the user for it (``Lack``).
-The specification of the URDF's <joint> element states defaults for the axis and for the lower and upper
-limit.
+A URDF for display leaves out some numbers or sets them to 0. Most files of industrial arms do so for efforts
+and speeds. Here such a number is unknown (NaN), and a command that needs the number asks the user to state it
+(``Lack``). The specification of the URDF's <joint> element states defaults for the axis and for the lower and
+upper limit.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from safety_harness.cell.robot.urdf import LARGEST, Urdf
 NO_LIMIT = 1e3  # rad, rad/s: exporters write such numbers for "no limit"
 DEGREES = (90.0, 180.0, 270.0, 360.0)  # such position limits are degrees if the speed exceeds ...
 FAST_RADPS = 30.0
+# Exporters write huge numbers for "no limit"; up to this one they are read and then clipped to LARGEST.
 LARGEST_LIMIT = 1e300
 
 
@@ -34,7 +35,10 @@ class Use(StrEnum):
 
 @dataclass(frozen=True)
 class Lack:
-    """A quantity that an arm's URDF does not state, with its uses and with how the user supplies it."""
+    """A quantity that an arm's URDF does not state.
+
+    ``uses`` are the uses that need it, and ``supply`` explains how the user can state it.
+    """
 
     what: str
     uses: tuple[Use, ...]
@@ -43,10 +47,11 @@ class Lack:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class JointData:
-    """A turning joint; unknown numbers are NaN, and a continuous joint has the limits -inf and inf.
+    """A turning joint.
 
-    ``axis`` (3,) may have any length above 0. ``soft_rad`` (lower, upper) are the limits of
-    <safety_controller>. ``degrees`` states whether the position limits look like degrees.
+    Unknown numbers are NaN. A continuous joint has the limits -inf and inf. ``axis`` (3,) may have any length
+    above 0. ``soft_rad`` (lower, upper) are the limits of <safety_controller>. ``degrees`` states whether the
+    position limits look like degrees.
     """
 
     axis: NDArray[np.float64]
@@ -62,7 +67,7 @@ class JointData:
 def joint_data(urdf: Urdf, joint: Element) -> JointData:
     """Return the data of a turning joint.
 
-    Raise ``ArmFileError`` for another type of joint, a mimic joint, or impossible limits.
+    Raise ``ArmFileError`` if the joint has another type, is a mimic joint, or has impossible limits.
     """
     kind = joint.get("type")
     if kind not in ("revolute", "continuous"):
@@ -99,7 +104,10 @@ def joint_data(urdf: Urdf, joint: Element) -> JointData:
 
 
 def _known(urdf: Urdf, limit: Element, key: str) -> float:
-    """Return the speed or effort ``key`` of a <limit>; NaN (unknown) if it is missing or 0."""
+    """Return the speed or effort ``key`` of a <limit>, or NaN if it is unknown.
+
+    A missing number or 0 means that the quantity is unknown.
+    """
     number = urdf.number(limit, key, "0")
     if number < 0.0:
         raise urdf.error(limit, f"{key} 0, which is unknown, or above", f"{number:g}")
@@ -107,9 +115,9 @@ def _known(urdf: Urdf, limit: Element, key: str) -> float:
 
 
 def _ends(urdf: Urdf, limit: Element) -> tuple[float, float]:
-    """Return the lower and the upper position limit [rad], each within ``LARGEST``.
+    """Return the lower and the upper position limit [rad], clipped to ``LARGEST``.
 
-    If both exceed ``NO_LIMIT``, return -inf and inf.
+    If the lower limit is below -``NO_LIMIT`` and the upper limit is above ``NO_LIMIT``, return -inf and inf.
     """
     lower, upper = (float(urdf.numbers(limit, key, 1, "0", LARGEST_LIMIT)[0]) for key in ("lower", "upper"))
     if not lower < upper:
@@ -120,7 +128,7 @@ def _ends(urdf: Urdf, limit: Element) -> tuple[float, float]:
 
 
 def _soft_limits(urdf: Urdf, joint: Element) -> tuple[float, float]:
-    """Return the position limits [rad] of <safety_controller>, or NaN if it states none."""
+    """Return the position limits [rad] of <safety_controller>, or NaN if it states no limits."""
     if joint.find("safety_controller") is None:
         return np.nan, np.nan
     controller = urdf.child(joint, "safety_controller")

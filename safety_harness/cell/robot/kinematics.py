@@ -37,8 +37,9 @@ def forward_kinematics(chain: Chain, joint_position_rad: ArrayN, transforms_out:
     """Fill ``transforms_out`` (n + 2, 4, 4) with link-to-base transforms: base, n links, tcp.
 
     T_0 = I, T_i = T_(i-1) O_i R(a_i, q_i) and T_(n+1) = T_n F are the products of transforms along the chain
-    of a URDF. Here ``chain.joint_origins`` is O (n, 4, 4) [m], ``chain.joint_axes`` a (n, 3),
-    ``chain.flange`` F (4, 4) and ``joint_position_rad`` q (n,). (Lynch and Park, Modern Robotics, 2017, 4.2.)
+    of a URDF. Here O is ``chain.joint_origins`` (n, 4, 4) [m], a is ``chain.joint_axes`` (n, 3), F is
+    ``chain.flange`` (4, 4), and q is ``joint_position_rad`` (n,). (Lynch and Park, Modern Robotics, 2017,
+    4.2.)
     """
     n = chain.joint_axes.shape[0]
     for i in range(4):
@@ -49,6 +50,7 @@ def forward_kinematics(chain: Chain, joint_position_rad: ArrayN, transforms_out:
         x, y, z = chain.joint_axes[joint, 0], chain.joint_axes[joint, 1], chain.joint_axes[joint, 2]
         r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation_entries(x, y, z, joint_position_rad[joint])
         k = joint + 1
+        # R(a, q) acts on the right: it mixes the columns of the rotation and leaves the position as it is.
         for i in range(3):
             x, y, z = transforms_out[k, i, 0], transforms_out[k, i, 1], transforms_out[k, i, 2]
             transforms_out[k, i, 0] = x * r00 + y * r10 + z * r20
@@ -58,7 +60,7 @@ def forward_kinematics(chain: Chain, joint_position_rad: ArrayN, transforms_out:
 
 
 def links_in_base(arm: ArmModel, joint_position_rad: ArrayN) -> ArrayNx4x4:
-    """Return the transforms (n + 2, 4, 4) of ``forward_kinematics`` for ``arm``.
+    """Return the transforms of ``forward_kinematics`` for ``arm``, shape (n + 2, 4, 4).
 
     ``joint_position_rad`` (n,).
     """
@@ -69,9 +71,9 @@ def links_in_base(arm: ArmModel, joint_position_rad: ArrayN) -> ArrayNx4x4:
 
 @inlined
 def _compose(transforms: ArrayNx4x4, k: int, inner: Array4x4) -> None:
-    """Fill ``transforms[k + 1]`` with ``transforms[k]`` times ``inner`` (4, 4); ``transforms`` (n + 2, 4, 4).
+    """Fill ``transforms[k + 1]`` with ``transforms[k]`` times ``inner`` (4, 4).
 
-    The loops use indices, because array views cost time.
+    ``transforms`` has the shape (n + 2, 4, 4). The loops use indices, because array views cost time.
     """
     for i in range(3):
         x, y, z = transforms[k, i, 0], transforms[k, i, 1], transforms[k, i, 2]
@@ -86,8 +88,9 @@ def _compose(transforms: ArrayNx4x4, k: int, inner: Array4x4) -> None:
 def geometric_jacobian(joint_axes: ArrayNx3, transforms: ArrayNx4x4, jacobian_out: Array6xN) -> None:
     """Fill ``jacobian_out`` (6, n), which maps joint velocities to the TCP's twist (v, w) in the base frame.
 
-    Column i is (a_i x (p_tcp - p_i), a_i) with joint i's axis a_i and a point p_i on it, both in the base
-    frame. ``transforms`` (n + 2, 4, 4) come from ``forward_kinematics``; ``joint_axes`` (n, 3).
+    Column i is (a_i x (p_tcp - p_i), a_i). Here a_i is the axis of joint i and p_i a point on it, both in the
+    base frame. ``transforms`` (n + 2, 4, 4) come from ``forward_kinematics``, and ``joint_axes`` has the
+    shape (n, 3).
     """
     for joint in range(joint_axes.shape[0]):
         ax, ay, az, vx, vy, vz = _joint_twist(joint_axes, transforms, joint)
@@ -117,9 +120,10 @@ def tcp_velocity(
 def _joint_twist(
     joint_axes: ArrayNx3, transforms: ArrayNx4x4, joint: int
 ) -> tuple[float, float, float, float, float, float]:
-    """Return a joint's axis a, and a x (p_tcp - p) with a point p on the axis, all in the base frame.
+    """Return a joint's axis a and the vector a x (p_tcp - p), in the base frame.
 
-    ``joint_axes`` (n, 3), ``transforms`` (n + 2, 4, 4).
+    Here p is a point on the axis. ``joint_axes`` has the shape (n, 3), and ``transforms`` has the shape
+    (n + 2, 4, 4).
     """
     link, tcp = transforms[joint + 1], joint_axes.shape[0] + 1
     x, y, z = joint_axes[joint, 0], joint_axes[joint, 1], joint_axes[joint, 2]
@@ -139,11 +143,13 @@ def link_twists(
     rates_radps: NDArray[np.float64],  # (joints,)
     twists: NDArray[np.float64],  # (joints + 1, 6), written
 ) -> None:
-    """Fill ``twists`` with each link's angular velocity w and its point's velocity v at the base's origin.
+    """Fill ``twists`` with the angular velocity w and the velocity v of each link.
 
-    w_j = w_(j-1) + q'_j a_j and v_j = v_(j-1) - q'_j a_j x p_j, with the axis a_j of joint j and a point p_j
-    on it, in the base frame. (Spatial velocities: Featherstone, Rigid Body Dynamics Algorithms, 2008.)
+    Here v is the velocity of the link's point at the origin of the base. These velocities are w_j = w_(j-1) +
+    q'_j a_j and v_j = v_(j-1) - q'_j a_j x p_j. Here a_j is the axis of joint j and p_j a point on it, in the
+    base frame. (Spatial velocities: Featherstone, Rigid Body Dynamics Algorithms, 2008.)
     """
+    # The base stands still. Each link adds its own joint's rotation to the twist of the link before it.
     twists[0] = 0.0
     for joint in range(joint_axes.shape[0]):
         frame, own, rate = transforms[joint + 1], joint_axes[joint], rates_radps[joint]
@@ -161,7 +167,10 @@ def link_twists(
 
 @inlined
 def point_velocity(twist: Array6, point: Array3) -> tuple[float, float, float]:
-    """Return the velocity v + w x p [m/s] of a link's ``point`` p (3,), both in the base frame."""
+    """Return the velocity v + w x p [m/s] of a link's point p = ``point`` (3,).
+
+    The velocity and the point are in the base frame.
+    """
     x, y, z = point[0], point[1], point[2]
     return (
         twist[3] + twist[1] * z - twist[2] * y,
@@ -172,7 +181,7 @@ def point_velocity(twist: Array6, point: Array3) -> tuple[float, float, float]:
 
 @inlined
 def fastest_end(twist: Array6, ends: Array2x3) -> float:
-    """Return the larger of the speeds [m/s] of a link's two points ``ends`` (2, 3)."""
+    """Return the speed [m/s] of the faster of a link's two points ``ends`` (2, 3)."""
     fastest = 0.0
     for end in range(2):
         x, y, z = point_velocity(twist, ends[end])
@@ -205,9 +214,12 @@ def smallest_singular_value(jacobian: NDArray[np.float64]) -> float:
                     alpha += columns[p, k] * columns[p, k]
                     beta += columns[q, k] * columns[q, k]
                     gamma += columns[p, k] * columns[q, k]
+                # Two columns whose cosine is below 1e-13 count as orthogonal; rounding allows little less.
                 if gamma * gamma <= 1e-26 * alpha * beta:
                     continue
                 rotated = True
+                # The smaller of the two turns that make the columns orthogonal, for which the sweeps
+                # converge.
                 zeta = (beta - alpha) / (2.0 * gamma)
                 t = (1.0 if zeta >= 0.0 else -1.0) / (abs(zeta) + sqrt(1.0 + zeta * zeta))
                 c = 1.0 / sqrt(1.0 + t * t)
@@ -234,10 +246,10 @@ def smallest_singular_value(jacobian: NDArray[np.float64]) -> float:
 def is_well_conditioned(jacobian: Array6xN, min_singular_value: float) -> bool:
     """Return whether every singular value of ``jacobian`` (6, n) exceeds ``min_singular_value`` > 0.
 
-    This takes a tenth of the work of ``smallest_singular_value``. All singular values exceed this bound s
+    The test takes a tenth of the work of ``smallest_singular_value``. All singular values exceed this bound s
     exactly if J^T J - s^2 I is positive definite, that is, if it has a Cholesky factor. For more than six
-    joints the matrix is J J^T - s^2 I. The test resolves a difference of about 1e-15 / s. Return False if an
-    entry is NaN.
+    joints the matrix is J J^T - s^2 I. The test is unreliable only for a singular value whose difference from
+    s is less than about 1e-15 / s. Return False if an entry is NaN.
     """
     m = min(TWIST, jacobian.shape[1])
     factor = np.empty((m, m))
@@ -250,6 +262,7 @@ def is_well_conditioned(jacobian: Array6xN, min_singular_value: float) -> bool:
                 total -= factor[i, k] * factor[j, k]
             if i > j:
                 factor[i, j] = total / factor[j, j]
+            # A pivot that is not positive (or NaN) means that the matrix is not positive definite.
             elif total > 0.0:
                 factor[i, i] = sqrt(total)
             else:
@@ -277,12 +290,13 @@ def joint_velocity(
     min_singular_value: float,
     joint_velocity_out: ArrayN,
 ) -> bool:
-    """Solve J q' = (v, w); return False, with zeros, if a singular value is below ``min_singular_value``.
+    """Solve J q' = (v, w) for the joint velocities q'.
 
-    J comes from ``geometric_jacobian``; q' [rad/s], v [m/s] and w [rad/s] are in its frame. The function
-    computes 1/|J^-1|_F, which never exceeds the least singular value. Only if this number is below the bound,
-    the function computes the singular value itself. For an arm with fewer or more than six joints, it uses
-    ``_pseudo_inverse_velocity``.
+    If a singular value is below ``min_singular_value``, return False and set q' to zero. J comes from
+    ``geometric_jacobian``. The velocity v [m/s] and the angular velocity w [rad/s] are in the same frame as
+    J. The joint velocities q' are in rad/s. The function computes 1/|J^-1|_F, which never exceeds the least
+    singular value. Only if this number is below the bound, the function computes the singular value itself.
+    For an arm with fewer or more than six joints, the function uses ``_pseudo_inverse_velocity``.
     """
     scratch = np.empty((TWIST, TWIST))
     return joint_velocity_with(jacobian, twist, min_singular_value, scratch, joint_velocity_out)
@@ -296,9 +310,9 @@ def joint_velocity_with(
     scratch: Array6x6,  # overwritten
     joint_velocity_out: ArrayN,
 ) -> bool:
-    """Fill ``joint_velocity_out`` as ``joint_velocity`` does, with the array ``scratch`` to work in.
+    """Fill ``joint_velocity_out`` as ``joint_velocity`` does.
 
-    The allocation of such an array takes as much time as the computation in it.
+    ``scratch`` is a working array. The allocation of a new array would take as much time as the computation.
     """
     if jacobian.shape[1] != TWIST:
         return _pseudo_inverse_velocity(jacobian, twist, min_singular_value, joint_velocity_out)
@@ -308,6 +322,7 @@ def joint_velocity_with(
     for i in range(n):
         for j in range(n):
             norm2 += inverse[i, j] * inverse[i, j]
+    # The Frobenius norm comes with the inverse. Only if it leaves a doubt, compute the singular value itself.
     if regular and not norm2 * min_singular_value * min_singular_value <= 1.0:
         regular = np.isfinite(norm2) and smallest_singular_value(jacobian) > min_singular_value
     for i in range(n):
@@ -322,12 +337,13 @@ def joint_velocity_with(
 def _pseudo_inverse_velocity(
     jacobian: Array6xN, twist: Array6, min_singular_value: float, joint_velocity_out: ArrayN
 ) -> bool:
-    """Fill ``joint_velocity_out`` with q' = J^+ (v, w), without damping, for fewer or more than six joints.
+    """Fill ``joint_velocity_out`` with q' = J^+ (v, w), for an arm with fewer or more than six joints.
 
-    For more than six joints, this is the q' of least norm with J q' = (v, w), which is J^T (J J^T)^-1 (v, w).
-    For fewer joints, the arm cannot execute every twist. The result is the q' whose twist is nearest, (J^T
-    J)^-1 J^T (v, w), in a norm that mixes metres and radians. (Golub and Van Loan, 2013, 5.5.) Return False,
-    with zeros, near a singularity.
+    The pseudoinverse J^+ has no damping. For more than six joints, q' is J^T (J J^T)^-1 (v, w), which has the
+    least norm of all solutions of J q' = (v, w). For fewer joints, the arm cannot execute every twist. The
+    result is then q' = (J^T J)^-1 J^T (v, w), whose twist is nearest in a norm that mixes metres and radians.
+    Golub and Van Loan describe the pseudoinverse (2013, section 5.5). Near a singularity, return False and
+    set q' to zero.
     """
     n = jacobian.shape[1]
     m = min(TWIST, n)
@@ -345,7 +361,10 @@ def _pseudo_inverse_velocity(
 
 @inlined
 def _back(jacobian: Array6xN, i: int, vector: Array6) -> float:
-    """Return entry i of J^T times ``vector`` (6,), with J (6, n)."""
+    """Return entry i of J^T times ``vector`` (6,).
+
+    J has the shape (6, n).
+    """
     total = 0.0
     for k in range(TWIST):
         total += jacobian[k, i] * vector[k]

@@ -1,16 +1,19 @@
 """Solve inverse kinematics of any chain of turning joints, by damped Newton steps from many starts.
 
-A step from the joints q towards the pose (R*, p*), with e = (p* - p, log(R* R^T)) and J the Jacobian at q:
+Let J be the Jacobian at the joints q, (R*, p*) the target pose, and e = (p* - p, log(R* R^T)). A step from q
+towards the target is
 
     dq = d + J^T (J J^T + l^2 I)^-1 (e - J d),        l^2 = DAMPING |e|^2
 
-With d = 0 this is the damped least squares of Nakamura and Hanafusa (1986), which is Newton's method near a
-solution. With a share d of q_r - q, the steps also reduce the distance to the joints q_r. An arm with more
-than six joints then moves along its self-motions to a place where this distance is stationary. If a step
-would take a joint beyond its limit, the joint goes to the limit and the other joints make the step. The
-starts are always the same sequence, which fills the limits evenly (Roberts, 2018).
+For d = 0 this is the damped least squares of Nakamura and Hanafusa (1986), which is Newton's method near a
+solution. If d is a fraction of q_r - q, the steps also reduce the distance to the joints q_r. An arm with
+more than six joints then moves along its self-motions to a place where this distance is stationary. If a step
+would take a joint beyond its limit, the joint goes only to the limit. The function then computes the step of
+the remaining joints again. The starts are always the same sequence, which fills the limits evenly (Roberts,
+2018).
 
-The search is not proven to be complete; docs/results/arms.md states the share of branches that it finds.
+The search is not proven to be complete. The page docs/results/arms.md states the fraction of branches that it
+finds.
 """
 
 from __future__ import annotations
@@ -41,12 +44,16 @@ STARTS = 200  # to find all branches; for the UR family they find all that the c
 GIVEN_UP = 96  # starts before a pose counts as out of reach; 1 in 1,000 poses of a Panda needs more
 ENOUGH = 48  # starts for the nearest solution, if there is any solution
 NEAR_RAD = 0.5  # a solution within this of the reference, found from it, counts as the nearest
+# A choice: a start that has not converged by then is given up, and the next start is tried.
 MOST_STEPS = 80
 MOST_SLIDES = 60  # steps along a self-motion
+# A choice. The damping l^2 falls with |e|^2, so it only acts far from a solution.
 DAMPING = 0.01
+# A choice: the linear model of a longer step no longer describes the arm.
 LARGEST_STEP_RAD = 0.5
 SOLVED = 1e-12  # largest entry of e [m, rad]
 SETTLED_RAD = 1e-6  # largest step along a self-motion
+# A choice: the largest fraction of the way to the reference in one step.
 LARGEST_SHARE = 4.0
 EXACT_POSE = 1e-9  # largest difference of a matrix entry (metres, or a direction cosine)
 SAME_RAD = 1e-6
@@ -61,6 +68,8 @@ def starts_of(arm: ArmModel) -> NDArray[np.float64]:
     wide = ~(upper - lower < 2.0 * np.pi)
     lower, upper = np.where(wide, -np.pi, lower), np.where(wide, np.pi, upper)
     n = len(lower)
+    # The root of x^(n+1) = x + 1 is a golden ratio for n dimensions. Multiples of its powers, modulo 1, fill
+    # the unit cube evenly (Roberts, 2018). The fixed-point iteration converges in fewer than 60 steps.
     root = 2.0
     for _ in range(60):  # x^(n + 1) = x + 1
         root = power(1.0 + root, 1.0 / (n + 1))
@@ -71,9 +80,9 @@ def starts_of(arm: ArmModel) -> NDArray[np.float64]:
 
 @compiled
 def pose_error(target: Array4x4, reached: Array4x4, error_out: Array6) -> None:
-    """Fill ``error_out`` (6,) with (p* - p, log(R* R^T)) of two poses (4, 4).
+    """Fill ``error_out`` (6,) with the pose error (p* - p, log(R* R^T)).
 
-    p* and R* belong to ``target``.
+    ``target`` (4, 4) is the pose (R*, p*), and ``reached`` (4, 4) is the pose (R, p).
     """
     error_rotation = np.empty((3, 3))
     for i in range(3):
@@ -87,16 +96,17 @@ def pose_error(target: Array4x4, reached: Array4x4, error_out: Array6) -> None:
 
 @compiled
 def least_step(jacobian: Array6xN, twist: Array6, matrix: Array6x6, step_out: ArrayN) -> bool:
-    """Fill ``step_out`` (n,) with the least dq for which J dq = (v, w): J^T (J J^T)^-1 (v, w).
+    """Fill ``step_out`` (n,) with the shortest dq for which J dq = (v, w).
 
-    The function overwrites ``twist`` (6,) and ``matrix`` (6, 6). It returns False if J (6, n) has fewer than
-    six independent rows.
+    This step is J^T (J J^T)^-1 (v, w). The function overwrites ``twist`` (6,) and ``matrix`` (6, 6). The
+    function returns False if J (6, n) has fewer than six independent rows.
     """
     for i in range(TWIST):
         for j in range(TWIST):
             matrix[i, j] = 0.0
             for k in range(step_out.shape[0]):
                 matrix[i, j] += jacobian[i, k] * jacobian[j, k]
+    # With fewer than six joints J J^T is singular, and most twists have no step.
     if step_out.shape[0] < TWIST or not solve_in_place(matrix, twist):
         return False
     for i in range(step_out.shape[0]):
@@ -116,9 +126,9 @@ def solve_from(
     transforms: ArrayNx4x4,
     jacobian: Array6xN,
 ) -> bool:
-    """Move ``joints`` (n,) to the pose (4, 4), within limits (n,); return whether the steps converge.
+    """Move ``joints`` (n,) to the pose (4, 4) within the position limits (n,).
 
-    The function writes ``transforms`` and ``jacobian``.
+    Return whether the steps converge. The function writes ``transforms`` and ``jacobian``.
     """
     n = joints.shape[0]
     step, pull, error = np.empty(n), np.zeros(n), np.empty(TWIST)
@@ -134,7 +144,7 @@ def solve_from(
 def _is_same(pose: Array4x4, reached: Array4x4) -> bool:
     """Return whether two matrices (4, 4) agree to EXACT_POSE.
 
-    A ``pose`` that is not a valid transform never agrees with a reached pose.
+    If ``pose`` is not a valid transform, it never agrees with ``reached``, which is always a valid transform.
     """
     for i in range(4):
         for j in range(4):
@@ -154,15 +164,16 @@ def slide(
     transforms: ArrayNx4x4,
     jacobian: Array6xN,
 ) -> float:
-    """Move a solution, ``joints`` (n,), along its self-motion and by full turns to the least distance.
+    """Move a solution along its self-motion, and by full turns, to the least distance from the reference.
 
-    Each step goes a share of the way to ``reference_rad`` (n,), then back to the pose. If the joints are not
-    nearer afterwards, the function undoes the step and makes the next one shorter. It returns the distance
-    [rad].
+    ``joints`` (n,) is the solution. Each step goes a fraction of the distance to ``reference_rad`` (n,), and
+    then back to the pose. If the joints are not nearer after the step, the function undoes the step and makes
+    the next step shorter. The function returns the remaining distance [rad].
     """
     n = joints.shape[0]
     step, pull, error, trial = np.empty(n), np.empty(n), np.empty(TWIST), joints.copy()
     away, share = _turned_towards(lower_rad, upper_rad, reference_rad, joints), 1.0
+    # With at most six joints a branch is a point, so full turns are all that can be gained.
     for _ in range(MOST_SLIDES if n > TWIST else 0):
         copy_vector(joints, trial)
         for i in range(n):
@@ -176,6 +187,7 @@ def slide(
             if nearer < away:
                 away, share = nearer, min(2.0 * share, LARGEST_SHARE)
                 copy_vector(trial, joints)
+                # The step grows with the fraction, so the threshold does too.
                 if moved < SETTLED_RAD * share:
                     break
                 continue
@@ -194,7 +206,10 @@ def _error_at(
     jacobian: Array6xN,
     error: Array6,
 ) -> float:
-    """Fill ``transforms``, ``jacobian`` and ``error`` e at the joints; return the largest entry of e."""
+    """Compute ``transforms``, ``jacobian`` and the pose error ``error`` at the joints.
+
+    Return the largest entry of the error.
+    """
     forward_kinematics(chains[0], joints, transforms)
     geometric_jacobian(chains[0].joint_axes, transforms, jacobian)
     pose_error(pose, transforms[joints.shape[0] + 1], error)
@@ -214,13 +229,14 @@ def _step(
     upper_rad: ArrayN,
     step: ArrayN,
 ) -> bool:
-    """Move ``joints`` (n,) by a damped step, which ``step`` returns; return False if it is not finite.
+    """Move ``joints`` (n,) by a damped step, and store the step in ``step``.
 
-    If the step would take a joint beyond a limit, the joint goes to the limit. The function then computes the
-    step of the other joints again.
+    Return False if the step is not finite. If the step would take a joint beyond a limit, the joint goes to
+    the limit. The function then computes the step of the other joints again.
     """
     n = joints.shape[0]
     fixed, rest = np.zeros(n, np.bool_), np.empty(TWIST)
+    # Each further round fixes at least one more joint at its limit, so there are at most n of them.
     for _ in range(n + 1):
         copy_vector(error, rest)
         for i in range(n):
@@ -235,6 +251,7 @@ def _step(
                 step[i] = pull[i]
                 for k in range(TWIST):
                     step[i] += jacobian[k, i] * rest[k]
+                # Scale the whole step, so that its direction in joint space remains.
                 scale = min(scale, LARGEST_STEP_RAD / max(abs(step[i]), LARGEST_STEP_RAD))
         for i in range(n):
             if not fixed[i]:
@@ -251,12 +268,17 @@ def _step(
 
 @compiled
 def _damped(jacobian: Array6xN, error: Array6, rest: Array6, fixed: NDArray[np.bool_]) -> bool:
-    """Replace ``rest`` (6,) by (J J^T + l^2 I)^-1 rest, with the columns of J that are not ``fixed`` (n,)."""
+    """Replace ``rest`` (6,) by the product of (J J^T + l^2 I)^-1 and ``rest``.
+
+    J contains only the columns of the free joints, whose entry in ``fixed`` (n,) is False.
+    """
     matrix, squared = np.empty((TWIST, TWIST)), 0.0
     for i in range(TWIST):
         squared += error[i] * error[i]
     for i in range(TWIST):
         for j in range(TWIST):
+            # 1e-15 keeps the matrix regular at a solution, where |e| is 0, of an arm with fewer than six free
+            # joints.
             total = DAMPING * squared + 1e-15 if i == j else 0.0
             for k in range(fixed.shape[0]):
                 if not fixed[k]:
@@ -267,9 +289,13 @@ def _damped(jacobian: Array6xN, error: Array6, rest: Array6, fixed: NDArray[np.b
 
 @compiled
 def all_found(chains: ChainRecords, starts: NDArray[np.float64], pose: Array4x4) -> NDArray[np.float64]:
-    """Return the different solutions (k, n) in (-pi, pi] found for ``pose`` (4, 4) from ``starts`` (m, n)."""
+    """Return the different solutions (k, n) that the search finds for ``pose`` (4, 4), in (-pi, pi].
+
+    The search begins at each of the ``starts`` (m, n).
+    """
     n = starts.shape[1]
     transforms, jacobian = np.empty((n + 2, 4, 4)), np.empty((TWIST, n))
+    # ``branches`` ignores position limits.
     free = np.full(n, np.inf)
     solutions, kept, joints = np.empty(starts.shape), 0, np.empty(n)
     for s in range(starts.shape[0]):
@@ -285,7 +311,10 @@ def all_found(chains: ChainRecords, starts: NDArray[np.float64], pose: Array4x4)
 
 @compiled
 def is_among(joints: ArrayN, known: ArrayNx6) -> bool:
-    """Return whether ``joints`` equals a row of ``known`` (k, n) to SAME_RAD, up to whole turns."""
+    """Return whether ``joints`` equals a row of ``known`` (k, n), up to whole turns.
+
+    The tolerance is SAME_RAD.
+    """
     for k in range(known.shape[0]):
         same = True
         for i in range(joints.shape[0]):
@@ -297,7 +326,7 @@ def is_among(joints: ArrayN, known: ArrayNx6) -> bool:
 
 @inlined
 def wrapped_rad(angle: float) -> float:
-    """Return the angle [rad] in (-pi, pi]."""
+    """Return the equivalent angle [rad] in (-pi, pi]."""
     wrapped = np.pi - np.mod(np.pi - angle, 2.0 * np.pi)
     return float(wrapped if wrapped > -np.pi else np.pi)  # np.mod may round up to the whole turn
 
@@ -311,15 +340,16 @@ def nearest_found(
     poses: NDArray[np.float64],  # (m, 4, 4)
     reference_rad: ArrayN,
 ) -> NDArray[np.float64]:
-    """Return for each pose the found solution within limits that is nearest to the reference, (m, n).
+    """Return the solution within the limits that is nearest to the reference for each pose, shape (m, n).
 
-    A pose without such a solution gives NaN.
+    A pose for which the search finds no such solution gives NaN.
     """
     n = starts.shape[1]
     transforms, jacobian, joints = np.empty((n + 2, 4, 4)), np.empty((TWIST, n)), np.empty(n)
     solutions = np.full((poses.shape[0], n), np.nan)
     for m in range(poses.shape[0]):
         best = np.inf
+        # Start -1 is the reference itself, which usually converges in few steps to the nearest solution.
         for s in range(-1, 0 if _is_beyond(chains[0], poses[m]) else GIVEN_UP):
             if s >= ENOUGH and best < np.inf:
                 break
@@ -340,7 +370,10 @@ def nearest_found(
 
 @inlined
 def _is_beyond(chain: Chain, pose: Array4x4) -> bool:
-    """Return whether a pose (4, 4) is farther from the first joint than the sum of all frames after it."""
+    """Return whether a pose (4, 4) is too far from the first joint.
+
+    The TCP's distance from the first joint is at most the sum of the distances between all later frames.
+    """
     reach_m, away_m = 0.0, 0.0
     for joint in range(1, chain.joint_origins.shape[0]):
         reach_m += _length_m(chain.joint_origins[joint])
@@ -357,7 +390,7 @@ def _length_m(frame: Array4x4) -> float:
 
 @inlined
 def _turned_towards(lower_rad: ArrayN, upper_rad: ArrayN, reference_rad: ArrayN, joints: ArrayN) -> float:
-    """Turn each joint by the full turns that bring it nearest to the reference within its limits.
+    """Turn each joint by full turns, so that it is as near to the reference as its limits allow.
 
     Return the remaining distance [rad] from the reference.
     """
@@ -365,6 +398,7 @@ def _turned_towards(lower_rad: ArrayN, upper_rad: ArrayN, reference_rad: ArrayN,
     for i in range(joints.shape[0]):
         aim = min(max(reference_rad[i], lower_rad[i]), upper_rad[i])
         turns = np.round((aim - joints[i]) / (2.0 * np.pi))
+        # The nearest turn may lie just beyond a limit, so the turns beside it are tried too.
         for more in (0.0, -1.0, 1.0):
             turned = joints[i] + (turns + more) * (2.0 * np.pi)
             if lower_rad[i] <= turned <= upper_rad[i]:

@@ -21,11 +21,12 @@ from safety_harness.scenario.obstacles import Obstacle
 BOX = np.dtype([("transform_base_to_box", np.float64, (4, 4)), ("half_m", np.float64, (3,))], align=True)
 BoxRecords = NDArray[np.void]  # (n,) BOX
 HALVINGS = 60
+# With this ratio, one of the two inner points serves again after each section.
 GOLDEN = 0.5 * (sqrt(5.0) - 1.0)
 
 
 def box_records(obstacles: Sequence[Obstacle]) -> BoxRecords:
-    """Return a read-only record BOX for each obstacle, (n,)."""
+    """Return the read-only records BOX of the obstacles, (n,)."""
     boxes = np.zeros(len(obstacles), BOX)
     for box, obstacle in zip(boxes, obstacles, strict=True):
         turn = rotation_from_vector(np.array([0.0, 0.0, obstacle.yaw_rad]))
@@ -39,7 +40,7 @@ def box_records(obstacles: Sequence[Obstacle]) -> BoxRecords:
 def distance_from(
     boxes: BoxRecords, arm: ArmModel, capsules: CapsuleSet, joint_position_rad: ArrayN
 ) -> float:
-    """Return the ``obstacle_distance`` [m] of an arm at a joint position; infinity without boxes.
+    """Return the ``obstacle_distance`` [m] of an arm at a joint position, or infinity without boxes.
 
     Args:
         boxes: The records BOX (n,) from ``box_records``.
@@ -56,7 +57,7 @@ def distance_from(
 
 @compiled
 def distances_m(arm: Arm, boxes: BoxRecords, joints_rad: NDArray[np.float64]) -> ArrayN:
-    """Return the ``obstacle_distance`` (n,) [m] at each row of ``joints_rad`` (n, joints).
+    """Return the ``obstacle_distance`` [m] at each row of ``joints_rad`` (n, joints), shape (n,).
 
     A row with NaN gives NaN.
     """
@@ -74,12 +75,13 @@ def distances_m(arm: Arm, boxes: BoxRecords, joints_rad: NDArray[np.float64]) ->
 def obstacle_distance(
     boxes: BoxRecords, capsules: CapsuleRecords, capsule_endpoints_in_base_m: ArrayNx2x3
 ) -> float:
-    """Return the least distance [m] of the moving links' capsules from the boxes; infinity without boxes.
+    """Return the least distance [m] of the moving links' capsules from the boxes, or infinity without boxes.
 
-    The distance is min over capsules and boxes of |axis, box| - r, with r the capsule's radius. An axis
-    inside a box gives -r, however deep it is inside. The function ignores the base, which stands still. The
-    result is NaN if any distance is NaN. ``capsules`` (n,) CAPSULE, ``capsule_endpoints_in_base_m`` (n, 2,
-    3).
+    Let d be the distance of a capsule's axis from a box, and let r be the capsule's radius. The result is the
+    minimum of d - r over all capsules and boxes. If an axis reaches into a box, d is 0, no matter how deep
+    the axis is inside. The function ignores the base, which stands still. The result is NaN if any distance
+    is NaN. ``capsules`` (n,) contains records CAPSULE, and ``capsule_endpoints_in_base_m`` has the shape (n,
+    2, 3).
     """
     least = np.inf
     for b in range(boxes.shape[0]):
@@ -97,15 +99,16 @@ def obstacle_distance(
 
 @compiled
 def segment_box_distance(boxes: BoxRecords, b: int, start: Array3, end: Array3) -> float:
-    """Return the distance [m] of a segment from box ``b``; 0 if the segment reaches into the box.
+    """Return the distance [m] of a segment from box ``b``, or 0 if the segment reaches into the box.
 
     ``start`` and ``end`` (3,) are in the base frame. The distance from a convex body is a convex function
-    along a segment. So a search by 60 golden sections finds its least value, to 1e-12 of the segment's
-    length. (Boyd and Vandenberghe, Convex Optimization, 2004, 3.2.)
+    along a segment. So a search by 60 golden sections finds its least value, with an error of 1e-12 of the
+    segment's length. (Boyd and Vandenberghe, Convex Optimization, 2004, 3.2.)
     """
     low, high = 0.0, 1.0
     inner, outer = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
     at_inner, at_outer = _away(boxes, b, start, end, inner), _away(boxes, b, start, end, outer)
+    # The search never reaches the ends of the segment exactly.
     least = min(_away(boxes, b, start, end, 0.0), _away(boxes, b, start, end, 1.0))
     for _ in range(HALVINGS):
         if at_inner <= at_outer:
@@ -123,7 +126,7 @@ def segment_box_distance(boxes: BoxRecords, b: int, start: Array3, end: Array3) 
 
 @inlined
 def _away(boxes: BoxRecords, b: int, start: Array3, end: Array3, share: float) -> float:
-    """Return the distance [m] from box ``b`` of the point at ``share`` of the segment."""
+    """Return the distance [m] between box ``b`` and the point at the fraction ``share`` of the segment."""
     squared = 0.0
     for i in range(3):
         local = boxes[b].transform_base_to_box[i, 3]

@@ -1,4 +1,7 @@
-"""Make the model, capsules, drives and inverse kinematics of a scenario's arm, each once."""
+"""Make the model, capsules, drives and inverse kinematics of a scenario's arm.
+
+The functions cache their results.
+"""
 
 from __future__ import annotations
 
@@ -37,9 +40,10 @@ TCP_BEYOND_M = 0.02
 
 
 class _OnceEach(Generic[Made]):
-    """A function with a cache, whose key is the robot together with the paths of the robot's files.
+    """A function with a cache.
 
-    The paths are part of the key because the comparison of two robots ignores them.
+    The key of the cache is the robot together with the paths of the robot's files. The paths are part of the
+    key because the comparison of two robots ignores them.
     """
 
     def __init__(self, make: Callable[[AnyRobot], Made]) -> None:
@@ -55,8 +59,8 @@ class _OnceEach(Generic[Made]):
 def arm_model(robot: AnyRobot) -> ArmModel:
     """Return the arm in the base frame of the scenario.
 
-    For a user's own arm, the function uses the texts of the arm's files, which a trace contains. The meshes
-    need not exist. Raise ``ArmFileError`` for an own arm that a run cannot use.
+    For a user's own arm, the function uses the texts of the arm's files, which a trace contains. So the mesh
+    files need not exist. Raise ``ArmFileError`` if a run cannot use the user's arm.
     """
     if isinstance(robot, Robot):
         return load_arm(robot.arm_name)
@@ -72,7 +76,10 @@ def arm_model(robot: AnyRobot) -> ArmModel:
 
 @_OnceEach
 def arm_capsules(robot: AnyRobot) -> CapsuleSet:
-    """Return the capsules of the robot's arm; raise ``ArmFileError`` if they belong to another arm."""
+    """Return the capsules of the robot's arm.
+
+    Raise ``ArmFileError`` if the capsules belong to another arm.
+    """
     if isinstance(robot, Robot):
         return load_capsules(robot.arm_name)
     if isinstance(robot, EquippedArm):
@@ -92,7 +99,7 @@ def arm_capsules(robot: AnyRobot) -> CapsuleSet:
 
 @_OnceEach
 def drive_model(robot: AnyRobot) -> DriveModel | None:
-    """Return the dynamics of a user's arm's drives; None for drives that follow a demand at once.
+    """Return the dynamics of the drives of a user's arm, or None if the drives follow a demand at once.
 
     Raise ``ArmFileError`` if the drives' torques are limited but a link has no mass.
     """
@@ -113,7 +120,7 @@ def drive_model(robot: AnyRobot) -> DriveModel | None:
 def transform_seat(seat: Seat) -> NDArray[np.float64]:
     """Return the transform (4, 4) from the arm's base link to the base frame.
 
-    The rotation is Rz(yaw) R(tilt); the translation is the seat's position.
+    The rotation is Rz(yaw) R(tilt), and the translation is the seat's position.
     """
     turn = rotation_from_vector(np.array([0.0, 0.0, seat.yaw_rad]))
     return transform_from(
@@ -141,9 +148,10 @@ def inverse_kinematics(robot: AnyRobot) -> InverseKinematics:
 
 @_OnceEach
 def refuse_unfit(robot: AnyRobot) -> None:
-    """Raise ``ArmFileError`` if a user's arm's URDF has changed since the program read the scenario.
+    """Raise ``ArmFileError`` if the URDF of a user's arm has changed since the program read the scenario.
 
-    The function also raises if the capsules were fitted to other meshes, and as ``refuse_unenclosed`` does.
+    The function raises the same error if the capsules were fitted to other meshes. The function also raises
+    each error that ``refuse_unenclosed`` raises.
     """
     refuse_unenclosed(robot)
     if not isinstance(robot, OwnRobot):
@@ -160,7 +168,7 @@ def refuse_unfit(robot: AnyRobot) -> None:
 def refuse_unenclosed(robot: AnyRobot) -> None:
     """Raise ``ArmFileError`` if a link has no capsule, or if the TCP is too far from all capsules.
 
-    The arm's file may accept both by a statement.
+    The user can accept both conditions in the arm's file.
     """
     if isinstance(robot, Robot):
         return
@@ -197,7 +205,10 @@ def _sha256_of(file: Path) -> str:
 
 
 def _own(robot: OwnRobot, *, meshes: bool) -> ArmModel:
-    """Return the arm of a user's URDF; limits in the arm's file replace the limits in the URDF."""
+    """Return the arm of a user's URDF.
+
+    Limits in the arm's file replace the limits in the URDF.
+    """
     arm = read_arm(
         robot.files[0],
         base=robot.base,
@@ -218,7 +229,7 @@ def _own(robot: OwnRobot, *, meshes: bool) -> ArmModel:
 def _of_each(arm: ArmModel, key: str, numbers: tuple[float, ...]) -> NDArray[np.float64]:
     """Return ``numbers`` as an array (n,), one for each joint.
 
-    Raise ``ArmFileError`` with the ``key`` if the count differs.
+    Raise an ``ArmFileError`` that states ``key`` if the number of entries differs from the number of joints.
     """
     if len(numbers) != len(arm.joint_names):
         expected = f"{key} of its {len(arm.joint_names)} joints"
@@ -227,7 +238,7 @@ def _of_each(arm: ArmModel, key: str, numbers: tuple[float, ...]) -> NDArray[np.
 
 
 def _softly_limited(arm: ArmModel) -> ArmModel:
-    """Return the same arm, with position limits also bounded by its <safety_controller>."""
+    """Return the same arm, but with position limits that also respect its <safety_controller>."""
     lower, upper = arm.soft_limits_rad.T
     if np.isnan(lower).all():
         expected = "a <safety_controller> with soft limits"

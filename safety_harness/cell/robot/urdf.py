@@ -1,4 +1,7 @@
-"""Read a URDF as a tree with line numbers: links, joints, numbers, files, and errors about these."""
+"""Read a URDF as a tree with line numbers.
+
+The tree gives access to links, joints, numbers and files, and its errors state the line.
+"""
 
 from __future__ import annotations
 
@@ -20,6 +23,7 @@ from safety_harness.base.exceptions import ArmModelError, InputError, Place
 from safety_harness.base.geometry.rotations import rotation_about
 from safety_harness.base.geometry.transforms import transform_from
 
+# A choice: far more than a URDF or mesh needs, and a guard against reading a huge file into memory.
 MAX_BYTES = 200_000_000
 DEEPEST = 100  # nested elements, since Python's writer of XML is recursive
 LARGEST = 1e9  # of any number in SI units: products of these stay finite
@@ -27,20 +31,23 @@ _COUNTED = {1: "a number", 3: "three numbers"}
 
 
 class ArmFileError(InputError, ArmModelError):
-    """The error that a file about an arm (URDF, mesh or capsules) is unusable.
+    """The error that a file of an arm is unusable.
 
-    The error states file, line and field.
+    The file is a URDF, a mesh or a file of capsules. The error states file, line and field.
     """
 
 
 def expand_by_xacro(file: Path) -> str:
-    """Return the hint that states the command which makes a URDF of the xacro ``file``."""
+    """Return a hint with the command that expands the xacro ``file`` to a URDF."""
     name = file.name.removesuffix(".xacro").removesuffix(".urdf")
     return f"xacro expands it: xacro {file.name} > {name}-expanded.urdf"
 
 
 def read_bytes(file: Path) -> bytes:
-    """Return the bytes of a file; raise ``ArmFileError`` if it is unreadable or above MAX_BYTES."""
+    """Return the bytes of a file.
+
+    Raise ``ArmFileError`` if the file is unreadable or larger than MAX_BYTES.
+    """
     try:
         if not os.path.isfile(file):
             raise ArmFileError.of_file(file, "a file", "no such file")
@@ -53,7 +60,10 @@ def read_bytes(file: Path) -> bytes:
 
 @dataclass(frozen=True, eq=False)
 class Urdf:
-    """A URDF whose joints form one or more trees; ``above`` maps a link's name to the joint above it."""
+    """A URDF whose joints form one or more trees.
+
+    ``above`` maps the name of a link to the joint above it.
+    """
 
     file: Path
     root: Element
@@ -63,7 +73,10 @@ class Urdf:
 
     @classmethod
     def read(cls, file: Path, text: bytes | None = None) -> Urdf:
-        """Read ``file``, or ``text`` in its place; ``ArmFileError`` unless it is XML with a tree of links."""
+        """Read a URDF from ``text``, or from ``file`` if ``text`` is None.
+
+        Raise ``ArmFileError`` unless it is XML with a tree of links.
+        """
         root, lines = _parse(file, read_bytes(file) if text is None else text)
         urdf = cls(file, root, lines, {}, {})
         if root.tag != "robot":
@@ -84,7 +97,7 @@ class Urdf:
         return urdf
 
     def _refuse_loops(self) -> None:
-        """Raise ``ArmFileError`` for a closed loop of joints."""
+        """Raise ``ArmFileError`` if the joints form a closed loop."""
         settled: set[str] = set()
         for link in self.above:
             visited: set[str] = set()
@@ -96,13 +109,15 @@ class Urdf:
             settled |= visited
 
     def error(self, element: Element, expected: str, got: str, hint: str = "") -> ArmFileError:
-        """Return an error about an element, which states the element's line.
+        """Return an error about an element.
+
+        The error states the line of the element.
 
         Args:
             element: The element.
             expected: The expected content, in words.
-            got: The content of the file, in words.
-            hint: Advice, if any.
+            got: The actual content of the file, in words.
+            hint: Advice for the user, or an empty text.
 
         """
         name = element.get("name")
@@ -111,14 +126,20 @@ class Urdf:
         return ArmFileError(place=place, expected=expected, got=got, hint=hint)
 
     def child(self, element: Element, tag: str) -> Element:
-        """Return an element's child with ``tag``; raise ``ArmFileError`` unless there is exactly one."""
+        """Return the only child of an element with the tag ``tag``.
+
+        Raise ``ArmFileError`` unless there is exactly one such child.
+        """
         children = element.findall(tag)
         if len(children) != 1:
             raise self.error(element, f"one <{tag}> in it", f"{len(children)}")
         return children[0]
 
     def text(self, element: Element, key: str) -> str:
-        """Return the attribute ``key`` of an element; raise ``ArmFileError`` if it is empty."""
+        """Return the attribute ``key`` of an element.
+
+        Raise ``ArmFileError`` if the attribute is absent or empty.
+        """
         text = element.get(key, "")
         if not text.strip():
             raise self.error(element, f"an attribute {key!r}", "none")
@@ -127,14 +148,17 @@ class Urdf:
     def numbers(
         self, element: Element, key: str, count: int, default: str | None = None, largest: float = LARGEST
     ) -> NDArray[np.float64]:
-        """Return the ``count`` numbers (count,) in an attribute; raise ``ArmFileError`` for another text.
+        """Return the numbers in an attribute, shape (count,).
+
+        Raise ``ArmFileError`` if the attribute does not contain ``count`` numbers.
 
         Args:
             element: The element.
             key: The attribute's name.
             count: The expected number of numbers, 1 or 3.
-            default: The text in place of an absent attribute. None: the attribute must be there.
-            largest: The largest absolute value.
+            default: The text that replaces an absent attribute. None means that the attribute must be
+                present.
+            largest: The largest allowed absolute value of a number.
 
         """
         text = element.get(key, default)
@@ -149,13 +173,17 @@ class Urdf:
         return np.array(numbers)
 
     def number(self, element: Element, key: str, default: str | None = None) -> float:
-        """Return the finite number in an attribute, with the arguments of ``numbers``."""
+        """Return the finite number in an attribute.
+
+        The function has the same arguments as ``numbers``.
+        """
         return float(self.numbers(element, key, 1, default)[0])
 
     def origin(self, element: Element) -> NDArray[np.float64]:
-        """Return the transform (4, 4) of an element's <origin>: fixed-axis roll, pitch, yaw, so R = Rz Ry Rx.
+        """Return the transform (4, 4) of an element's <origin>.
 
-        Return the identity without an <origin>.
+        The rotation is R = Rz Ry Rx, with roll, pitch and yaw about fixed axes. Return the identity if the
+        element has no <origin>.
         """
         if element.find("origin") is None:
             return np.eye(4)
@@ -177,9 +205,10 @@ class Urdf:
         return self.known(self.text(end, "link"), end)
 
     def known(self, link: str, element: Element) -> str:
-        """Return ``link`` if the file has it; otherwise raise ``ArmFileError`` with the most similar names.
+        """Return ``link`` if the file contains it.
 
-        The error states the line of ``element``.
+        Otherwise raise ``ArmFileError`` with the most similar names. The error states the line of
+        ``element``.
         """
         if link not in self.links:
             similar = difflib.get_close_matches(link, self.links, n=3, cutoff=0.4) or list(self.links)[:20]
@@ -187,9 +216,10 @@ class Urdf:
         return link
 
     def only(self, role: str, links: Iterable[str]) -> str:
-        """Return the only member of ``links``; raise ``ArmFileError`` unless there is exactly one.
+        """Return the only member of ``links``.
 
-        ``role`` is the link's role, for the error.
+        Raise ``ArmFileError`` unless there is exactly one member. ``role`` is the role of the link, for the
+        text of the error.
         """
         candidates = list(links)
         if len(candidates) != 1:
@@ -201,7 +231,10 @@ class Urdf:
         return candidates[0]
 
     def chain(self, base: str | None, tcp: str | None) -> tuple[str, str, list[Element]]:
-        """Return base, tcp and the joints from base to tcp; an argument None means the only root or leaf."""
+        """Return the base, the tcp and the joints from base to tcp.
+
+        If an argument is None, the file must have only one root or leaf, which the method then uses.
+        """
         if base is None:
             base = self.only("base", (link for link in self.links if link not in self.above))
         if tcp is None:
@@ -217,9 +250,10 @@ class Urdf:
         return base, tcp, joints[::-1]
 
     def carrier(self, link: str, among: Collection[str]) -> tuple[str | None, list[NDArray[np.float64]]]:
-        """Return the link in ``among`` that ``link`` is or is fixed to, and the frames (4, 4) in between.
+        """Return the link in ``among`` to which ``link`` is fixed, and the frames (4, 4) between the two.
 
-        The frames belong to the fixed joints. Return (None, []) without such a link.
+        If ``link`` itself is in ``among``, the method returns ``link``. The frames belong to the fixed joints
+        between the two links. Return (None, []) if there is no such link.
         """
         frames: list[NDArray[np.float64]] = []
         while link not in among:
@@ -230,7 +264,11 @@ class Urdf:
         return link, frames
 
     def mesh_file(self, mesh: Element, packages: Mapping[str, Path]) -> Path:
-        """Return the file of a <mesh>: relative to the URDF, file://, or package:// (as in ``read_arm``)."""
+        """Return the file of a <mesh>.
+
+        The name of the file is a path relative to the URDF, or begins with file:// or package://
+        (``read_arm``).
+        """
         uri = self.text(mesh, "filename")
         scheme, _, rest = uri.rpartition("://")
         name, _, inner = rest.partition("/")
@@ -255,9 +293,9 @@ class Urdf:
 
 
 def _parse(file: Path, text: bytes) -> tuple[Element, dict[Element, int]]:
-    """Return the root of a file with that ``text``, and the line at which each element begins.
+    """Return the root element of ``text``, and the line at which each element begins.
 
-    Raise ``ArmFileError`` for other content.
+    Raise ``ArmFileError`` if the text is not XML, or if it has a DOCTYPE or elements of xacro.
     """
     builder, lines = ElementTree.TreeBuilder(), dict[Element, int]()
     parser, open_tags = expat.ParserCreate(), list[str]()

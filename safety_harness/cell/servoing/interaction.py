@@ -1,19 +1,19 @@
-"""Compute interaction matrices: the change of image moments, and of features, as the camera moves.
+"""Compute interaction matrices, which state how image moments and features change as the camera moves.
 
 For a camera twist (v, w) in the camera frame [m/s, rad/s], the features f change by df/dt = L (v, w). All
-matrices follow from the motion of a single image point of a static object (Chaumette and Hutchinson 2006),
+matrices follow from the motion of a single image point of a static object (Chaumette and Hutchinson 2006):
 
     x' = -v_x/Z + x v_z/Z + x y w_x - (1 + x^2) w_y + y w_z
-    y' = -v_y/Z + y v_z/Z + (1 + y^2) w_x - x y w_y - x w_z,
+    y' = -v_y/Z + y v_z/Z + (1 + y^2) w_x - x y w_y - x w_z
 
-with the object in the plane 1/Z = A x + B y + C [1/m]. A sum over points changes because each term changes.
-An integral over a region changes also because the area element changes, by (dx'/dx + dy'/dy) dx dy. Chaumette
-(2004) derives the forms for dense objects, and Tahri and Chaumette (2005) the forms for discrete objects. The
-features' rows follow by the chain rule, and eq. 2 of the paper is the case A = B = 0. Tests compare every
-entry with finite differences.
+Here the object is in the plane 1/Z = A x + B y + C [1/m]. If the object is a set of points, a sum changes
+only because each of its terms changes. If the object is a region, an integral also changes because the area
+element changes, by (dx'/dx + dy'/dy) dx dy. Chaumette (2004) derives the forms for dense objects, and Tahri
+and Chaumette (2005) the forms for discrete objects. The features' rows follow by the chain rule, and eq. 2 of
+the paper is the case A = B = 0. Tests compare every entry with finite differences.
 
 mu_ij are the centred moments, (x_g, y_g) is the centroid, m00 the area (dense) or the number of points
-(discrete), and n_ij = mu_ij/m00. All are in normalised image coordinates, without a unit.
+(discrete), and n_ij = mu_ij/m00. All these quantities are in normalised image coordinates, without a unit.
 """
 
 from __future__ import annotations
@@ -26,12 +26,15 @@ from safety_harness.base.geometry.arrays import Array3, Array6, Array6x6, Array3
 from safety_harness.cell.perception.moments import M00, XG, YG, mu_index
 from safety_harness.cell.servoing.features import A_N, ALPHA, DELTA, GAMMA, X_N, Y_N, area, brackets
 
-VX, VY, VZ, WX, WY, WZ = range(6)
+VX, VY, VZ, WX, WY, WZ = range(6)  # columns: the camera's twist (v, w)
 
 
 @compiled
 def _mu(moments: Array31, i: int, j: int) -> float:
-    """Return mu_ij of ``moments`` (31,), or 0 for a negative index, whose terms all have the factor 0."""
+    """Return mu_ij of ``moments`` (31,), or 0 if an index is negative.
+
+    Terms with a negative index always have the factor 0.
+    """
     if i < 0 or j < 0:
         return 0.0
     return float(moments[mu_index(i, j)])
@@ -41,9 +44,12 @@ def _mu(moments: Array31, i: int, j: int) -> float:
 def centred_moment_interaction(
     moments: Array31, plane: Array3, dense: bool, i: int, j: int, out: Array6
 ) -> None:
-    """Fill ``out`` with the row of mu_ij, i + j <= 5; the row needs moments of one order more.
+    """Fill ``out`` with the interaction matrix's row for mu_ij.
 
-    With s = 3, o = 1, k = 4 for a dense object and s = 0, o = 0, k = 1 for a discrete object,
+    The sum i + j is at most 5.
+
+    The row depends on moments of the next higher order. Let s = 3, o = 1, k = 4 for a dense object and s = 0,
+    o = 0, k = 1 for a discrete object. Then the row is
 
         L_wx =  (i+j+s) mu_(i,j+1) + i x_g mu_(i-1,j+1) + (i+2j+s) y_g mu_ij
                 - k i n11 mu_(i-1,j) - k j n02 mu_(i,j-1)
@@ -52,7 +58,7 @@ def centred_moment_interaction(
         L_wz =  i mu_(i-1,j+1) - j mu_(i+1,j-1)
         L_vx = -(i+o) A mu_ij - i B mu_(i-1,j+1)
         L_vy = -j A mu_(i+1,j-1) - (j+o) B mu_ij
-        L_vz = -A L_wy + B L_wx + (i+j+2o) C mu_ij.
+        L_vz = -A L_wy + B L_wx + (i+j+2o) C mu_ij
 
     The first three entries of ``out`` are per metre, the last three per radian.
     """
@@ -91,12 +97,13 @@ def centred_moment_interaction(
 
 @compiled
 def centroid_interaction(moments: Array31, plane: Array3, dense: bool, out: NDArray[np.float64]) -> None:
-    """Fill ``out`` (2, 6) with the rows of x_g and y_g, which depend on the second ``moments`` too.
+    """Fill ``out`` (2, 6) with the rows of x_g and y_g.
 
-    With 1/Z_g = A x_g + B y_g + C and s_ij = k n_ij, k = 4 for a dense object and 1 for a discrete object,
+    These rows also depend on the second ``moments``. Let 1/Z_g = A x_g + B y_g + C and s_ij = k n_ij. Here k
+    is 4 for a dense object and 1 for a discrete object. The rows are
 
         L_xg = (-1/Z_g, 0, x_g/Z_g + A s20 + B s11, x_g y_g + s11, -(1 + x_g^2 + s20),  y_g)
-        L_yg = (0, -1/Z_g, y_g/Z_g + A s11 + B s02, 1 + y_g^2 + s02, -(x_g y_g + s11), -x_g).
+        L_yg = (0, -1/Z_g, y_g/Z_g + A s11 + B s02, 1 + y_g^2 + s02, -(x_g y_g + s11), -x_g)
     """
     a, b, c = plane[0], plane[1], plane[2]
     xg, yg, m00 = moments[XG], moments[YG], moments[M00]
@@ -123,12 +130,13 @@ def centroid_interaction(moments: Array31, plane: Array3, dense: bool, out: NDAr
 def interaction_matrix(
     moments: Array31, plane: Array3, desired_area: float, desired_depth_m: float, dense: bool, out: Array6x6
 ) -> bool:
-    """Fill ``out`` with L_f of the features of eqs. 3 to 5 over a general plane.
+    """Fill ``out`` with the interaction matrix L_f of the features of eqs. 3 to 5, for a general plane.
 
-    ``plane`` is (A, B, C) of 1/Z = A x + B y + C, in 1/m. ``desired_area`` is a*, ``desired_depth_m`` Z*.
-    ``moments`` (31,) describe the object. The rows are in the order of ``features``; the first three features
-    are in metres. alpha is atan2(2 mu11, d)/2 with d = mu20 - mu02. Its row is (d mu11' - mu11 d')/(d^2 + 4
-    mu11^2), where mu11' and d' are the rows of mu11 and d. Return False if an entry is not finite.
+    ``plane`` is (A, B, C) of 1/Z = A x + B y + C, in 1/m. ``desired_area`` is a*, and ``desired_depth_m`` is
+    Z*. ``moments`` (31,) are the moments of the object. The rows are in the order of ``features``, and the
+    first three features are in metres. The angle alpha is atan2(2 mu11, d)/2 with d = mu20 - mu02. The row of
+    alpha is (d mu11' - mu11 d')/(d^2 + 4 mu11^2), where mu11' and d' are the rows of mu11 and d. Return False
+    if an entry is not finite.
     """
     second_order = np.empty((3, 6))
     for j in range(3):  # in a loop: numba compiles a copy for every pair of literal numbers
@@ -160,10 +168,11 @@ def _position_rows(
     mu02_row: Array6,
     out: Array6x6,
 ) -> None:
-    """Fill the rows of x_n = a_n x_g, y_n = a_n y_g and a_n = Z* sqrt(a*/a) in ``out``.
+    """Fill the rows of ``out`` for x_n = a_n x_g, y_n = a_n y_g and a_n = Z* sqrt(a*/a).
 
-    The rows are a_n' = -(a_n/2) a'/a and x_n' = a_n' x_g + a_n x_g', and likewise for y_n. Here a is m00
-    (dense) or mu20 + mu02 (discrete). ``mu20_row`` and ``mu02_row`` come from ``centred_moment_interaction``.
+    The rows are a_n' = -(a_n/2) a'/a and x_n' = a_n' x_g + a_n x_g', and y_n' has the same form as x_n'. Here
+    a is m00 for a dense object, and mu20 + mu02 for a discrete object. ``mu20_row`` and ``mu02_row`` come
+    from ``centred_moment_interaction``.
     """
     a = area(moments, dense)
     a_n = desired_depth_m * np.sqrt(desired_area / a)
@@ -176,6 +185,8 @@ def _position_rows(
         for m in range(6):
             area_row[m] = mu20_row[m] + mu02_row[m]
     for m in range(6):
+        # ViSP 3.5 has A x_n in place of A x_n/2 in L_xn[v_x] for a dense object in a tilted plane. Finite
+        # differences confirm the formula here.
         change = -0.5 * a_n / a * area_row[m]
         out[A_N, m] = change
         out[X_N, m] = change * moments[XG] + a_n * centroid[0, m]
@@ -184,7 +195,7 @@ def _position_rows(
 
 @compiled
 def _invariant_rows(moments: Array31, plane: Array3, dense: bool, out: Array6x6) -> None:
-    """Fill the rows of gamma = In1/In3 and delta = In2/In3, In_k = c_k^2 + s_k^2, in ``out``.
+    """Fill the rows of ``out`` for gamma = In1/In3 and delta = In2/In3, with In_k = c_k^2 + s_k^2.
 
     The row of gamma is gamma' = 2 [c_1 c_1' + s_1 s_1' - gamma (c_3 c_3' + s_3 s_3')]/In3. The row of delta
     is the same with delta, c_2 and s_2. The pairs (c_k, s_k) are linear in the moments of order five

@@ -1,4 +1,4 @@
-"""Hold the cameras of an episode: their records, their noise, and the frames not yet delivered."""
+"""Define the cameras of an episode: their records, their noise, and the frames that are not yet delivered."""
 
 from __future__ import annotations
 
@@ -126,12 +126,14 @@ def sensors(
     transform_sensor_to_base: Array4x4,
     hand_slots: int = HAND_SLOTS[0],
 ) -> Sensors:
-    """Return the cameras before their first frame, with the noise of every frame and detection.
+    """Return the cameras before their first frame.
+
+    The result contains the noise of every frame and detection.
 
     Args:
         settings: The settings of cameras and object.
         seed: The scenario's seed.
-        ticks: The number of ticks, for the noise of every frame.
+        ticks: The number of ticks, which limits the number of frames with noise.
         transform_sensor_to_base: The pose (4, 4) of a fixed hand sensor.
         hand_slots: The scenario's number of hands.
 
@@ -158,7 +160,10 @@ def sensors(
 
 @lru_cache(maxsize=16)  # many episodes differ only in their hands and starts
 def camera_state(settings: Settings) -> SensorRecords:
-    """Return the read-only record SENSORS (1,) before the first frame; a fixed sensor's pose is not in it."""
+    """Return the read-only record SENSORS (1,) before the first frame.
+
+    The record does not contain the pose of a fixed sensor.
+    """
     state = np.zeros(1, SENSORS)
     camera, hand = settings.camera, settings.hand_sensor
     state["transform_mount_to_tcp"] = transform_camera_to_tcp(camera, calibrated=False)
@@ -188,7 +193,10 @@ def camera_state(settings: Settings) -> SensorRecords:
 
 
 def _timing(field: str, rate_hz: float | None, latency_s: float, settings: Settings) -> tuple[float, float]:
-    """Return (period, latency) [s]; ``SettingsError`` if the ring cannot hold all undelivered frames."""
+    """Return the period and the latency [s] of a camera.
+
+    Raise ``SettingsError`` if the ring cannot hold all undelivered frames.
+    """
     period_s = 0.0 if rate_hz is None else 1.0 / rate_hz
     under_way = latency_s / max(period_s, settings.clock.control_period_s) + 2.0
     if under_way > RING:

@@ -1,8 +1,10 @@
-"""Run users' controllers in the kinematic world: one episode, or many in lanes, tick by tick together.
+"""Run users' controllers in the kinematic world, for one episode or for many episodes in parallel lanes.
 
-This is the loop of ``simulate`` without numba's look-up at each call. A lane is an episode's row in stacked
-records. At each tick, all controllers answer together: in one call of their ``act_many``, in one exchange
-with their common process, or one after another.
+The loop is the same as in ``simulate``, but numba does not look up the types of arguments at each call. A
+lane is an episode's row in stacked records. At each tick, the loop gets the answers of all controllers. If
+the controllers are in a common process, the loop makes one exchange with this process. If the controllers
+have the function ``act_many``, the loop calls this function once. Otherwise the controllers answer one after
+another.
 """
 
 from __future__ import annotations
@@ -32,7 +34,11 @@ _PADDED = {"moves", "samples", "normals", "uniforms"}  # of these, a lane never 
 
 @dataclass(eq=False)
 class Lane:
-    """An episode with its ``ticks`` (n,) TICK, the number ``done`` of filled ticks, and any error."""
+    """An episode in a lane.
+
+    ``ticks`` (n,) contains records TICK, ``done`` is the number of filled ticks, and ``failed`` is an error
+    or None.
+    """
 
     world: KinematicWorld
     controller: DrivenController
@@ -42,17 +48,22 @@ class Lane:
 
     @property
     def kind(self) -> object:
-        """A key, equal for lanes that may run together: these differ only in hands, noise and values."""
+        """A key that is equal for lanes that may run together.
+
+        Such lanes differ only in hands, noise and values.
+        """
         records = self.world.records._asdict().items()
         shapes = tuple((record.dtype, record.shape) for name, record in records if name not in _PADDED)
         return shapes, self.controller.sees, self.controller.reports, self.controller.period_s
 
 
 def drive(lanes: Sequence[Lane], on_tick: Callable[[int], None] | None = None) -> None:
-    """Run all lanes of a kind as ``simulate`` does, bit for bit; store a lane's error in ``Lane.failed``.
+    """Run all lanes of a kind.
 
-    If there is only one lane, the function raises its error. It also raises an error that stops many lanes
-    together; the results of these lanes are then invalid.
+    Each lane gives the same trace as ``simulate``, bit for bit. The function stores the error of a lane in
+    ``Lane.failed``. If there is only one lane, the function raises the error of this lane instead. The
+    function also raises an error that stops many lanes simultaneously. The results of these lanes are then
+    invalid.
     """
     first, n = lanes[0].controller, len(lanes)
     worlds, controllers, questions = _together(lanes)
@@ -103,9 +114,10 @@ def drive(lanes: Sequence[Lane], on_tick: Callable[[int], None] | None = None) -
 def _refuse(
     lanes: Sequence[Lane], finite: NDArray[np.bool_], answers: LaneAnswers, lasts: NDArray[np.int64], k: int
 ) -> None:
-    """Store an error for each lane whose action is not finite; ``finite`` (lanes,), ``lasts`` (lanes,).
+    """Store an error for each lane whose action is not finite.
 
-    If there is only one lane, the function raises its error.
+    ``finite`` and ``lasts`` have the shape (lanes,). If there is only one lane, the function raises the error
+    of this lane instead.
     """
     for lane in lanes_of(~finite & (lasts >= k)):
         by_joints = answers.by_joints[lane]
@@ -113,6 +125,7 @@ def _refuse(
         error = lanes[lane].controller.not_finite(wanted)
         if len(lanes) == 1:
             raise error
+        # A last tick of -1 makes all later steps skip this lane.
         lanes[lane].failed, lasts[lane] = error, -1
     finite[:] = True
 
@@ -120,8 +133,8 @@ def _refuse(
 class _Asking:
     """A function object that calls the controllers of many lanes together.
 
-    ``took_s`` is the mean time [s] of an answer at each tick. It is empty if a single call answers for all
-    lanes.
+    ``took_s`` is the mean time [s] of an answer at each tick. The list is empty if a single call answers for
+    all lanes.
     """
 
     def __init__(self, lanes: Sequence[Lane], controllers: DrivenRecords, answers: LaneAnswers) -> None:
@@ -136,7 +149,7 @@ class _Asking:
         )
 
     def __call__(self, tick: int, lasts: NDArray[np.int64]) -> None:
-        """Call the controllers of the lanes that have not ended at ``tick``."""
+        """Call the controllers of the lanes that are still running at ``tick``."""
         own = lanes_of(lasts >= tick)
         rows = self._numbers[own]
         rows.flags.writeable = False
@@ -152,7 +165,10 @@ class _Asking:
 
 
 def _together(lanes: Sequence[Lane]) -> tuple[WorldRecords, DrivenRecords, NDArray[np.void]]:
-    """Return the stacked records of all lanes, and let the controllers use their rows from now on."""
+    """Return the stacked records of all lanes.
+
+    The controllers use their rows of these records from now on.
+    """
     first = lanes[0]
     worlds = stacked(first.world.records, len(lanes))
     controllers = stacked(first.controller.records, len(lanes))

@@ -25,13 +25,15 @@ from safety_harness.cell.simulation.hand_motion import HandRecords
 def exact_object(
     sensors: SensorRecords, polygon_in_base_m: ArrayNx3, transform_tcp_to_base: Array4x4, moments_out: Array31
 ) -> bool:
-    """Fill ``moments_out`` with the moments of the projected polygon; return False if it is not in view.
+    """Fill ``moments_out`` with the moments of the projected polygon.
 
-    The camera's record selects moments in closed form, or as sums over pixels. ``polygon_in_base_m`` (n, 3).
+    Return False if the polygon is not in view. The camera's record states whether to compute the moments in
+    closed form or as sums over pixels. ``polygon_in_base_m`` (n, 3).
     """
     s = sensors[0]
     n = polygon_in_base_m.shape[0]
     base_to_camera = s.transform_base_to_camera
+    # The true pose of the camera, with a knocked mount; the controller assumes the calibrated one.
     compose_into(transform_tcp_to_base, s.transform_camera_to_tcp, s.transform_camera_to_base)
     invert_into(s.transform_camera_to_base, base_to_camera)
     image = np.empty((n, 2))
@@ -57,7 +59,10 @@ def exact_object(
 
 @compiled
 def sensor_pose(sensors: SensorRecords, transform_tcp_to_base: Array4x4) -> Array4x4:
-    """Return the true pose (sensor to base) of the hand sensor, which is fixed or the hand-eye camera."""
+    """Return the true pose (sensor to base) of the hand sensor.
+
+    The sensor is either fixed or the hand-eye camera.
+    """
     pose = np.empty((4, 4))
     put_sensor_pose(sensors, transform_tcp_to_base, pose)
     return pose
@@ -80,9 +85,10 @@ def hand_box(
     position_in_base_m: Array3,
     box_out: Array5,
 ) -> bool:
-    """Fill ``box_out`` with the box of a hand that nothing hides; return False if it is out of view.
+    """Fill ``box_out`` with the box of a hand, without regard to occlusion.
 
-    The ideal sensor also sees hands beyond the image's border, but only in front of the sensor.
+    Return False if the hand is out of view. The ideal sensor also sees hands beyond the image's border, but
+    only in front of the sensor.
     """
     s = sensors[0]
     centre = s.hand_in_sensor
@@ -116,7 +122,7 @@ def exact_boxes(
     capsule_endpoints_in_base_m: ArrayNx2x3,
     boxes_out: NDArray[np.float64],  # (n, 5), n at least the number of hands
 ) -> int:
-    """Fill ``boxes_out`` with the bounding boxes of the visible hands; return the number of boxes.
+    """Fill ``boxes_out`` with the bounding boxes of the visible hands, and return the number of boxes.
 
     The ideal sensor sees through the robot.
     """
@@ -131,6 +137,7 @@ def exact_boxes(
         position = hands[k].position_in_base_m
         if not hand_box(sensors, base_to_sensor, position, boxes_out[count]):
             continue
+        # Occlusion is tested last, because it needs every capsule.
         if not s.ideal and _blocked(sensors, position, capsules, capsule_endpoints_in_base_m):
             continue
         count += 1

@@ -1,8 +1,9 @@
-"""Apply faults of sensors and joints in both worlds; each function returns the acting faults as bits.
+"""Apply faults of sensors and joints in both worlds.
 
-A fault acts if it changes something. So a blind sensor without a hand in view does not act.
+Each function returns an integer with a bit for each fault. The bit is set if the fault acts, that is, if it
+changes something. For example, a fault that blinds a sensor does not act if there is no hand in view.
 
-A world calls ``mount_camera`` before its cameras take frames. It calls ``spoil_object_frame`` and
+A world calls ``mount_camera`` before its cameras take frames. The world calls ``spoil_object_frame`` and
 ``spoil_hand_frame`` on each new frame, and ``hold_joints`` on the motors' set points. Without faults these
 functions change nothing. The noise depends on the frame's number, so a fault never shifts the noise.
 """
@@ -28,7 +29,10 @@ from safety_harness.scenario.faults import FaultKind
 
 @compiled
 def mount_camera(faults: FaultRecords, sensors: SensorRecords, time_s: float) -> int:
-    """Set the hand-eye camera's pose at ``time_s``, in its mount or knocked out of it."""
+    """Set the pose of the hand-eye camera at ``time_s``.
+
+    The camera is in its mount, unless a fault has knocked it out.
+    """
     s = sensors[0]
     bits = acting(faults, FaultKind.CAMERA_KNOCKED, time_s)
     copy_matrix(s.transform_mount_to_tcp, s.transform_camera_to_tcp)
@@ -39,6 +43,7 @@ def mount_camera(faults: FaultRecords, sensors: SensorRecords, time_s: float) ->
         if not acts(faults, k, FaultKind.CAMERA_KNOCKED, time_s):
             continue
         copy_matrix(s.transform_camera_to_tcp[:3, :3], mounted)
+        # On the right: the knock is stated in the camera's own frame. Several knocks follow each other.
         turned = rotation_from_vector(faults[k].turned_rad.copy())
         for i in range(3):
             for j in range(3):
@@ -59,10 +64,14 @@ def spoil_object_frame(
     transform_tcp_to_base: Array4x4,
     time_s: float,
 ) -> int:
-    """Apply the faults to the object's newest frame; a frozen camera repeats the previous frame."""
+    """Apply the faults to the object's newest frame.
+
+    A frozen camera repeats the previous frame.
+    """
     s = sensors[0]
     frame = frames[(s.object_frames - 1) % RING]
     bits = 0
+    # Hidden before blind: a blind camera acts only on a frame that would still show the object.
     hidden = acting(faults, FaultKind.CAMERA_HIDDEN, time_s)
     if hidden and hides_object(sensors, polygon_in_base_m, hands, transform_tcp_to_base):
         frame.visible = False
@@ -70,6 +79,7 @@ def spoil_object_frame(
     blind = acting(faults, FaultKind.CAMERA_BLIND, time_s) if frame.visible else 0
     if blind:
         frame.visible = False
+    # Frozen comes last, because it replaces the frame with all earlier faults.
     frozen = acting(faults, FaultKind.CAMERA_FROZEN, time_s)
     if frozen:
         frame.visible = False
@@ -143,6 +153,7 @@ def spoil_hand_frame(
             earlier = frames[(s.hand_frames - 2) % RING]
             frame.count = earlier.count
             copy_matrix(earlier.boxes, frame.boxes)
+    # An empty frame in place of an empty frame changes nothing, so the fault did not act.
     if seen == 0 and frame.count == 0:
         frozen = 0
     if frame.count:  # a late frame makes no difference if it is empty
@@ -159,10 +170,10 @@ def shift_boxes(
     boxes: NDArray[np.float64],  # (n, 5), changed in place
     count: int,
 ) -> int:
-    """Shift the hands in ``boxes`` by a measurement error; return how many remain in front of the sensor.
+    """Shift the hands in ``boxes`` by a measurement error.
 
-    The function moves the point at a box's centre and depth by ``by_in_base_m``. The box's size in the image
-    changes with the depth.
+    Return the number of hands that remain in front of the sensor. The function moves the point at a box's
+    centre and depth by ``by_in_base_m``. The box's size in the image changes with the depth.
     """
     s = sensors[0]
     shift = np.zeros(3)
@@ -175,11 +186,13 @@ def shift_boxes(
         x = (boxes[k, 0] - s.hand_c_u) / s.hand_focal_px * depth + shift[0]
         y = (boxes[k, 1] - s.hand_c_v) / s.hand_focal_px * depth + shift[1]
         z = depth + shift[2]
+        # A point behind the sensor has no pixel.
         if not z > 0.0:
             continue
         boxes[kept, 0] = s.hand_focal_px * x / z + s.hand_c_u
         boxes[kept, 1] = s.hand_focal_px * y / z + s.hand_c_v
         boxes[kept, 2] = z
+        # The area in the image falls with the square of the depth.
         boxes[kept, 3] = boxes[k, 3] * (depth / z) ** 2
         boxes[kept, 4] = boxes[k, 4]
         kept += 1
@@ -188,7 +201,7 @@ def shift_boxes(
 
 @compiled
 def hold_joints(faults: FaultRecords, velocity_radps: ArrayN, time_s: float) -> int:
-    """Set the motors' set points of stuck joints to zero; return the acting faults as bits."""
+    """Set the motors' set points of stuck joints to zero, and return the acting faults as bits."""
     bits = 0
     for k in range(faults.shape[0]):
         if acts(faults, k, FaultKind.JOINT_STUCK, time_s) and velocity_radps[faults[k].joint] != 0.0:

@@ -1,8 +1,9 @@
-"""Move the hands as the scenario states: an interpreter of hand moves for both worlds.
+"""Move the hands as the scenario states.
 
-The velocity of a moving hand is continuous. Its rate of change is at most the hand's largest acceleration. A
-closed form gives straight paths from rest to rest (``follow_leg``). A hand that heads for the TCP turns its
-velocity towards the TCP (``pursue``). A hand that must stop brakes along its path (``brake``).
+The module interprets the moves of hands for both worlds. The velocity of a moving hand is continuous. The
+rate of change of this velocity is at most the hand's largest acceleration. A closed form gives straight paths
+from rest to rest (``follow_leg``). A hand that heads for the TCP turns its velocity towards the TCP
+(``pursue``). A hand that must stop brakes along its path (``brake``).
 """
 
 from __future__ import annotations
@@ -62,6 +63,7 @@ HAND = np.dtype(
 MoveRecords = NDArray[np.void]  # (m,) MOVE
 HandRecords = NDArray[np.void]  # (hands,) HAND, present hands first
 
+# Rounding: a hand that brakes towards its goal may end this far from it.
 ARRIVED_M = 1e-9
 
 
@@ -97,6 +99,8 @@ def advance_hands(
             left_s = advance_move(hands, k, moves, tcp_position_in_base_m, left_s)
         brake(hands, k, left_s)
         for i in range(3):
+            # Added to the steady position, so that the tremor never enters the hand's velocity or its
+            # arrival.
             tremor_m = 0.0
             if hand.tremor_m != 0.0:
                 angle = hand.tremor_radps * (time_s + dt_s) + hand.tremor_phase_rad[i]
@@ -109,7 +113,10 @@ def advance_hands(
 def advance_move(
     hands: HandRecords, k: int, moves: MoveRecords, tcp_position_in_base_m: Array3, left_s: float
 ) -> float:
-    """Spend up to ``left_s`` on the current move; return the time [s] that remains of ``left_s``."""
+    """Execute the current move for at most ``left_s``.
+
+    Return the time [s] that remains of ``left_s``.
+    """
     hand = hands[k]
     move = moves[hand.first + hand.current]
     allowed_s = min(left_s, move.within_s - hand.spent_s)
@@ -121,6 +128,7 @@ def advance_move(
         used_s, done = follow_leg(hands, k, move.target_in_base_m, move.distance_m, move.speed_mps, allowed_s)
     else:
         used_s, done = pursue(hands, k, tcp_position_in_base_m, move.distance_m, move.speed_mps, allowed_s)
+        # A following hand has no arrival: it stops beside the TCP and waits for its time limit.
         if done and move.kind == FOLLOW_TCP:
             brake(hands, k, allowed_s)
             used_s, done = allowed_s, False
@@ -138,7 +146,10 @@ def advance_move(
 
 @njit_no_nrt
 def brake(hands: HandRecords, k: int, dt_s: float) -> float:
-    """Slow down along the path for at most ``dt_s`` or to standstill; return the time [s] that this takes."""
+    """Slow down along the path for at most ``dt_s``, or until standstill.
+
+    Return the time [s] that this takes.
+    """
     hand = hands[k]
     squared = 0.0
     for i in range(3):
@@ -159,19 +170,22 @@ def brake(hands: HandRecords, k: int, dt_s: float) -> float:
 def follow_leg(
     hands: HandRecords, k: int, target_in_base_m: Array3, distance_m: float, speed_mps: float, dt_s: float
 ) -> tuple[float, bool]:
-    """Move straight, from rest to rest, to ``distance_m`` from the target; return (time used, arrived).
+    """Move straight, from rest to rest, until the hand is ``distance_m`` from the target.
 
-    The speed is a trapezoid over time, or a triangle if the path is too short for ``speed_mps``.
+    Return the time used [s], and whether the hand has arrived. The speed is a trapezoid over time, or a
+    triangle if the path is too short for ``speed_mps``.
     """
     hand = hands[k]
     used_s = 0.0
     if not hand.on_leg:
+        # A leg starts at rest, so a hand that comes from a pursuit brakes first.
         used_s = brake(hands, k, dt_s)
         for i in range(3):
             if hand.velocity_in_base_mps[i] != 0.0:
                 return dt_s, False
         begin_leg(hands, k, target_in_base_m, distance_m)
     acceleration, path_m = hand.max_acceleration_mps2, hand.leg_way_m
+    # On a short path the hand accelerates over one half and brakes over the other: v^2/2a = path/2.
     peak = min(speed_mps, np.sqrt(acceleration * path_m))
     ramp_s = peak / acceleration
     total_s = path_m / peak + ramp_s if peak > 0.0 else 0.0
@@ -217,10 +231,11 @@ def begin_leg(hands: HandRecords, k: int, target_in_base_m: Array3, distance_m: 
 def pursue(
     hands: HandRecords, k: int, goal_in_base_m: Array3, distance_m: float, speed_mps: float, dt_s: float
 ) -> tuple[float, bool]:
-    """Turn the velocity towards the goal for ``dt_s``; return (time used, within ``distance_m`` of the goal).
+    """Turn the velocity towards the goal for ``dt_s``.
 
-    The hand approaches at the largest speed w from which it can still stop within the remaining gap g. The
-    equation is (v + w)/2 dt + w^2/2a = g, with the present speed v and the deceleration a.
+    Return the time used [s], and whether the hand is within ``distance_m`` of the goal. The hand approaches
+    with the largest speed w from which it can still stop within the remaining gap g. The equation is
+    (v + w)/2 dt + w^2/2a = g, in which v is the present speed and a is the deceleration.
     """
     hand = hands[k]
     total, closing = 0.0, 0.0
@@ -234,13 +249,16 @@ def pursue(
         return 0.0, True
     change = hand.max_acceleration_mps2 * dt_s
     discriminant = 4.0 * hand.max_acceleration_mps2 * gap - 2.0 * change * closing / away
+    # Even with w = 0 the hand would need more than the gap to stop, so it brakes as hard as it can.
     if discriminant <= 0.0:
         return brake(hands, k, dt_s), False
+    # The positive root of the equation above, without a difference of nearly equal numbers.
     wanted = min(speed_mps, discriminant / (change + np.sqrt(change**2 + 2.0 * discriminant)))
     squared = 0.0
     for i in range(3):
         direction = (goal_in_base_m[i] - hand.steady_in_base_m[i]) / away
         squared += (wanted * direction - hand.velocity_in_base_mps[i]) ** 2
+    # The velocity changes by at most a dt, also when its direction must change.
     part = min(1.0, change / np.sqrt(squared)) if squared > 0.0 else 0.0
     for i in range(3):
         direction = (goal_in_base_m[i] - hand.steady_in_base_m[i]) / away
@@ -252,7 +270,7 @@ def pursue(
 
 @njit_no_nrt
 def point_forearm(hands: HandRecords, k: int) -> None:
-    """Put the elbow at the forearm's length from the hand, towards the person."""
+    """Put the elbow at a distance of the forearm's length from the hand, towards the person."""
     hand = hands[k]
     total = 0.0
     for i in range(3):
@@ -267,9 +285,9 @@ def point_forearm(hands: HandRecords, k: int) -> None:
 
 @njit_no_nrt
 def follow_recording(hands: HandRecords, k: int, samples: NDArray[np.float64], time_s: float) -> None:
-    """Put hand and elbow at their recorded positions, linear between samples, at rest after the last sample.
+    """Put hand and elbow at their recorded positions.
 
-    ``samples`` (s, 7).
+    The positions are linear between samples, and constant after the last sample. ``samples`` (s, 7).
     """
     hand = hands[k]
     last = hand.first + hand.count - 1

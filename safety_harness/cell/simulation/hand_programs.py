@@ -1,6 +1,7 @@
-"""Turn a scenario's hands into records for the interpreter: each move into legs, waits and pursuits.
+"""Turn a scenario's hands into records for the interpreter.
 
-The scenario's seed, the hand's number and the move's number determine the points of a wander.
+Each move becomes legs, waits and pursuits. The scenario's seed, the hand's number and the move's number
+determine the points of a wander.
 """
 
 from __future__ import annotations
@@ -39,7 +40,8 @@ from safety_harness.scenario.moves import (
     shifted,
 )
 
-NOWHERE: Vector3 = (0.0, 0.0, 0.0)
+NOWHERE: Vector3 = (0.0, 0.0, 0.0)  # of a step without a target
+# A choice. If these points do not fill the time, as many points as there are follow.
 FIRST_DRAWN = 256
 
 
@@ -47,7 +49,8 @@ FIRST_DRAWN = 256
 class Hands:
     """The hands of an episode, with their state and their programs.
 
-    ``samples`` (s, 7) hold time, hand position and elbow position of the recorded hands.
+    Each row of ``samples`` (s, 7) contains the time, the hand position and the elbow position of a recorded
+    hand.
     """
 
     state: HandRecords
@@ -96,15 +99,17 @@ def hands_at_start(scenario: Scenario) -> Hands:
         moves += program
         _begin(record, hand, number, scenario)
     hands = Hands(state, np.array(moves, MOVE), np.concatenate(samples))
+    # A step of no time fills the positions at the start, with tremor and forearm.
     advance_hands(hands.state, hands.moves, hands.samples, np.zeros(3), 0.0, 0.0)
     return hands
 
 
 def _begin(record: np.void, hand: MovingHand, number: int, scenario: Scenario) -> None:
-    """Set a moving hand's start position, at rest, and its tremor."""
+    """Set a moving hand at rest at its start position, and set its tremor."""
     record["steady_in_base_m"] = shifted(hand.starts_at_in_base_m, hand.shift_in_base_m)
     record["max_acceleration_mps2"] = hand.max_acceleration_mps2
     if hand.tremor is not None:
+        # Along each axis, so that the vector of all three stays within the amplitude.
         record["tremor_m"] = hand.tremor.amplitude_m / np.sqrt(3.0)
         record["tremor_radps"] = 2.0 * np.pi * hand.tremor.rate_hz
         phases = generator(scenario.seed, Branch.HAND_MOTION, number).uniform(0.0, 2.0 * np.pi, 3)
@@ -160,7 +165,7 @@ def _reach(move: Reach, object_position_in_base_m: Vector3) -> list[Step]:
 
 
 def _wander(move: Wander, hand: MovingHand, longest_s: float, rng: np.random.Generator) -> list[Step]:
-    """Return legs to random points, enough for the whole duration of the move or of the run."""
+    """Return legs to random points that fill the duration of the move or of the run, whichever is shorter."""
     corners = np.sort(np.array(move.corners_in_base_m) + hand.shift_in_base_m, axis=0)
     points, filled_s = np.empty((0, 3)), 0.0
     while filled_s < min(move.duration_s, longest_s):
@@ -175,7 +180,10 @@ def _wander(move: Wander, hand: MovingHand, longest_s: float, rng: np.random.Gen
 
 
 def _leg_s(path_m: NDArray[np.float64], speed_mps: float, acceleration_mps2: float) -> NDArray[np.float64]:
-    """Return the durations [s] of straight paths of the lengths ``path_m``, from rest to rest."""
+    """Return the durations [s] of straight motions from rest to rest.
+
+    ``path_m`` contains the lengths of the paths.
+    """
     peak = np.minimum(speed_mps, np.sqrt(acceleration_mps2 * path_m))
     return np.divide(path_m, peak, out=np.zeros_like(path_m), where=peak > 0.0) + peak / acceleration_mps2
 

@@ -1,9 +1,10 @@
-"""Simulate the second world, in which joints follow their set points exactly and bodies have no mass.
+"""Simulate the kinematic world, in which joints follow their set points exactly and bodies have no mass.
 
 Apart from the motion of the arm, this world uses the same compiled steps as the reference world. In the
-reference world, the velocity motors reach their set points within the first physics sub-step, to 1e-9 rad/s,
-unless their torque limit prevents it. So in a tick each joint turns by its set point times the period, as it
-always does here. Joints have no stops here, and the arm cannot touch the table or itself.
+reference world, the velocity motors reach their set points within the first physics sub-step, unless a torque
+limit prevents this. The error is at most the world's ``known_to_radps``. So in both worlds, each joint turns
+in a tick by its set point times the period. Joints have no stops here, and the arm cannot touch the table or
+itself.
 """
 
 from __future__ import annotations
@@ -37,22 +38,28 @@ BRAKING = int(Limit.BRAKING)
 
 
 class KinematicWorld(RecordedWorld):
-    """A scenario without an engine, for any controller; ``advance`` is only for our own controller."""
+    """A scenario in the kinematic world, for any controller.
+
+    Only the harness's own controller uses ``advance``.
+    """
 
     name = "kinematic"
 
     def advance(
         self, controller: ControllerRecords, ticks: NDArray[np.void], decided: bool
     ) -> NDArray[np.void] | None:
-        """Go on to the next decision or the end, as ``BatchWorld.advance`` describes, in compiled code.
+        """Continue to the next decision or the end, as ``BatchWorld.advance`` describes, in compiled code.
 
-        ``ticks`` (n,) TICK.
+        ``ticks`` (n,) contains records TICK.
         """
         more = advance(self.records, controller, as_compiled(ticks), decided)
         return self.records.observation if more else None
 
     def step(self, command: NDArray[np.void]) -> bool:
-        """Move drives, joints and hands by a control period with ``command`` (1,) COMMAND."""
+        """Move drives, joints and hands for a control period.
+
+        ``command`` (1,) is a record COMMAND.
+        """
         return step(*self.records[:10], CommandRecords(command))
 
 
@@ -70,11 +77,15 @@ def step(
     faults: FaultRecords,
     commands: CommandRecords,
 ) -> bool:
-    """Run a control period with a command (1,) COMMAND; return True while the brakes act."""
+    """Execute a command for a control period, and return True while the brakes act.
+
+    The command is a record COMMAND (1,).
+    """
     rates, joints = clocks[0].commanded_radps, clocks[0].joint_position_rad
     truth, period_s = truths[0], clocks[0].control_period_s
     braking = drive_on(drives, arms, truths, clocks, faults, commands, rates)
     for i in range(joints.shape[0]):
+        # The set points are constant within a period, so this is the exact integral.
         joints[i] = truth.joint_position_rad[i] + rates[i] * period_s
     move_on(moves, samples, arms, truths, hands, capsules, capsule_endpoints_in_base_m, clocks, joints, rates)
     return braking
@@ -87,9 +98,10 @@ def advance(
     ticks: Records,  # (n,) ``as_compiled``, written from the present tick on
     decided: bool,
 ) -> bool:
-    """Go on to the next decision (True) or to the run's end (False); this is the loop of ``simulate``.
+    """Continue to the next decision or to the run's end.
 
-    ``decided`` states that the run is at a decision, and that the controller has the answer.
+    Return True at a decision, and False at the end. The function contains the loop of ``simulate``. If
+    ``decided`` is True, the run is at a decision, and the controller already has the answer.
     """
     w, c = world, controller
     last, alike = ticks.shape[0] - 1, same_chain(w.arm, c.parameters)
@@ -118,7 +130,7 @@ def advance(
 
 @njit_no_nrt
 def same_chain(arms: ArmRecords, parameters: ParameterRecords) -> bool:
-    """Return whether the world's arm equals the arm that the controller computes with."""
+    """Return whether the world's arm equals the arm in the controller's computations."""
     own, assumed, same = arms[0].chain, parameters[0].chain, True
     for i in range(4):
         for j in range(4):

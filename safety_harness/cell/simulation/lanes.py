@@ -1,9 +1,10 @@
-"""Run kinematic episodes side by side: a few compiled calls take all of them one tick further.
+"""Run kinematic episodes side by side.
 
-The functions stack each record of ``WorldRecords`` and ``DrivenRecords``. A lane is a row of a stack, as long
-as the longest record so far. Entries beyond the end of a lane's own record are zero. There no moves begin and
-no faults act, and the functions do not read the noise. The functions call the compiled steps of the kinematic
-world and of users' controllers.
+A few compiled calls advance all episodes by one tick. The functions stack the ``WorldRecords`` and the
+``DrivenRecords`` of episodes. A lane is an episode's row in a stack. Each row is as long as the longest
+record so far. The entries after the end of a lane's own record are zero. In these entries, moves do not begin
+and faults do not act. The functions do not read noise from them. The functions call the compiled steps of the
+kinematic world and of users' controllers.
 """
 
 from __future__ import annotations
@@ -28,7 +29,10 @@ Stacked = TypeVar("Stacked", WorldRecords, DrivenRecords)
 
 
 def stacked(like: Stacked, lanes: int) -> Stacked:
-    """Return zero records for ``lanes`` lanes, with a first axis of lanes before the axes of ``like``."""
+    """Return zero records for ``lanes`` lanes.
+
+    Each record has a first axis of lanes before the axes of the record in ``like``.
+    """
 
     def zeros(record: Any) -> Any:
         return np.zeros((lanes, *record.shape), record.dtype)
@@ -37,14 +41,20 @@ def stacked(like: Stacked, lanes: int) -> Stacked:
 
 
 def placed(lanes: Stacked, lane: int, own: Stacked) -> Stacked:
-    """Return ``lanes`` with an episode's records ``own`` in row ``lane``; make wider arrays if necessary."""
+    """Store the records ``own`` of an episode in row ``lane`` of ``lanes``, and return the arrays.
+
+    The function makes wider arrays if necessary.
+    """
     pairs: Any = zip(lanes, own, strict=True)
     filled: Any = (_placed(rows, lane, record) for rows, record in pairs)
     return type(lanes)(*filled)
 
 
 def _placed(rows: NDArray[np.void], lane: int, own: NDArray[np.void]) -> NDArray[np.void]:
-    """Return ``rows`` (lanes, k, ...) with ``own`` (m, ...) in row ``lane``, wider if m > k."""
+    """Store ``own`` (m, ...) in row ``lane`` of ``rows`` (lanes, k, ...), and return the array.
+
+    If m > k, the result is wider than ``rows``.
+    """
     if len(own) > rows.shape[1]:
         wider = np.zeros((len(rows), len(own), *rows.shape[2:]), rows.dtype)
         wider[:, : rows.shape[1]] = rows
@@ -93,7 +103,10 @@ def look_lanes(
     objects: bool,
     predicts: bool,
 ) -> None:
-    """Let sensors deliver and fill the controllers' views, in each lane with ``tick`` <= ``lasts``."""
+    """Let sensors deliver their frames, and fill the controllers' views.
+
+    The function skips lanes whose last tick, in ``lasts``, is before ``tick``.
+    """
     c = controllers
     for lane in range(lasts.shape[0]):
         if tick > lasts[lane]:
@@ -124,7 +137,10 @@ def obey_lanes(
     stop: Flags,  # (lanes,)
     finite: Flags,  # (lanes,), filled
 ) -> None:
-    """Make a command of each lane's action; set ``finite`` to False where the action is not finite."""
+    """Turn the action of each lane into a command.
+
+    Set ``finite`` to False where the action is not finite.
+    """
     c = controllers
     for lane in range(lasts.shape[0]):
         if tick > lasts[lane]:

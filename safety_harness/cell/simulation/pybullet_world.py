@@ -40,11 +40,11 @@ from safety_harness.trace.trace import Trace
 
 
 class PyBulletWorld(RecordedWorld):
-    """A scenario in a PyBullet client of its own, to be used once, as a context manager.
+    """A scenario in its own PyBullet client.
 
-    The set points of the drives go to velocity motors with the torque limits of the URDF. A control period
-    has ``physics_substeps`` steps of the engine. Hands do not push anything; a contact is only a distance
-    below zero.
+    The object is a context manager for a single use. The set points of the drives go to velocity motors with
+    the torque limits of the URDF. A control period has ``physics_substeps`` steps of the engine. Hands do not
+    push other bodies. A contact is only a distance less than zero.
     """
 
     name, renders = "pybullet", True
@@ -87,7 +87,10 @@ class PyBulletWorld(RecordedWorld):
             raise
 
     def close(self) -> None:
-        """Disconnect the client; a second call has no effect."""
+        """Disconnect the client.
+
+        A second call has no effect.
+        """
         if self._client >= 0:
             pybullet.disconnect(physicsClientId=self._client)
             self._client = -1
@@ -116,9 +119,9 @@ class PyBulletWorld(RecordedWorld):
         return r.observation
 
     def step(self, command: NDArray[np.void]) -> bool:
-        """Run drives, motors and physics for a control period, in which the hands move too.
+        """Run drives, motors and physics for a control period, and move the hands.
 
-        ``command`` (1,) COMMAND. Return True while the brakes act.
+        ``command`` (1,) is a record COMMAND. Return True while the brakes act.
         """
         r = self.records
         braking = drive_on(
@@ -132,6 +135,7 @@ class PyBulletWorld(RecordedWorld):
             forces=self._efforts,
             physicsClientId=self._client,
         )
+        # Copied now, because ``move_on`` overwrites the truth.
         before_radps, tick = r.truth[0]["joint_velocity_radps"].copy(), int(r.clock[0]["tick"])
         speeds_radps: list[list[float]] = []
         for _ in range(self._substeps):
@@ -170,17 +174,19 @@ class PyBulletWorld(RecordedWorld):
                 yield self.image()
 
     def _keep(self, colour: NDArray[np.uint8]) -> None:
-        """Store the newest frame's pixels, after the faults; a frozen camera repeats the previous frame.
+        """Store the newest frame's pixels, with the faults of the camera applied.
 
-        ``colour`` (height, width, 3).
+        A frozen camera repeats the previous frame. ``colour`` has the shape (height, width, 3).
         """
         r, time_s = self.records, now_s(self.records.clock)
         newest = int(r.sensors[0]["object_frames"]) - 1
+        # The same order as in ``spoil_object_frame``, so that pixels and moments agree.
         if acting(r.faults, FaultKind.CAMERA_BLIND, time_s):
             colour = _black(colour.shape)
         if acting(r.faults, FaultKind.CAMERA_FROZEN, time_s):
             colour = self._pictures.get(newest - 1, _black(colour.shape))
         colour.setflags(write=False)
+        # ``image`` needs the last delivered frame, and a frozen camera the frame before the newest.
         oldest = min(int(r.sensors[0]["object_delivered"]), newest) - 1
         self._pictures = {k: pixels for k, pixels in self._pictures.items() if k >= oldest} | {newest: colour}
 
@@ -194,9 +200,10 @@ class PyBulletWorld(RecordedWorld):
         return colour
 
     def _object(self, colour: NDArray[np.uint8] | None) -> tuple[bool, NDArray[np.float64]]:
-        """Return whether the object is in view, and its moments, from a rendered image or exactly.
+        """Return whether the object is in view, and the object's moments.
 
-        ``colour`` (height, width, 3); None for an exact view.
+        The two results come from a rendered image or from an exact view. ``colour`` has the shape (height,
+        width, 3), and is None for an exact view.
         """
         r = self.records
         if colour is not None:
@@ -205,7 +212,10 @@ class PyBulletWorld(RecordedWorld):
         return exact_object(r.sensors, r.polygon_in_base_m, pose, moments), moments
 
     def _boxes(self) -> tuple[NDArray[np.float64], int]:
-        """Return the bounding boxes of the hands and their number, from a rendered image or exactly."""
+        """Return the bounding boxes of the hands, and their number.
+
+        The boxes come from a rendered image or from an exact view.
+        """
         sensor, r = self._settings.hand_sensor, self.records
         pose = r.truth[0]["transform_tcp_to_base"]
         boxes = np.zeros_like(r.observation["boxes"][0])

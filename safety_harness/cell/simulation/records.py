@@ -1,4 +1,7 @@
-"""Define the records of an episode's world, except those with which each world moves the arm."""
+"""Define the records of an episode's world.
+
+These records do not contain the data that only one kind of world needs to move the arm.
+"""
 
 from __future__ import annotations
 
@@ -48,9 +51,9 @@ def clock_dtype(joints: int) -> np.dtype[Any]:
 class WorldRecords(NamedTuple):
     """The hands, cameras, drives, faults and present truth of an episode.
 
-    This order lets each function take consecutive records as its arguments. ``step`` of the kinematic world
-    takes the first ten records. ``move_on`` takes these ten without the first and the last. ``sense`` takes
-    all records from ``truth`` on.
+    The order of the records lets each function take consecutive records as its arguments. ``step`` of the
+    kinematic world takes the first ten records. ``move_on`` takes the second to the ninth record. ``sense``
+    takes all records from ``truth`` on.
     """
 
     drives: DriveRecords  # (1,) DRIVE

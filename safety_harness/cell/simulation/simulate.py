@@ -1,7 +1,7 @@
-"""Run the whole system: a world and a controller, tick by tick, into a trace.
+"""Run a world and a controller tick by tick, and record a trace.
 
-The module also runs many episodes in one world. All episodes go on to their next decision, then one call of
-the avoider answers all questions.
+The module also runs many episodes in one world. All episodes continue to their next decision. Then one call
+of the avoider answers all questions.
 """
 
 from __future__ import annotations
@@ -44,15 +44,15 @@ WITH_USER = DrivenController | FilteredController  # these may see images, and r
 def simulate(
     world: World, controller: Controller, scenario: Scenario, *, on_tick: Callable[[int], None] | None = None
 ) -> Trace:
-    """Run a scenario to its end, and return the trace, with a tick at both ends of the duration.
+    """Run a scenario to its end, and return the trace.
 
-    Ctrl-C between ticks ends the run early. The trace then states the interruption, and no property can hold
-    on it.
+    The trace has a tick at both ends of the duration. Ctrl-C between ticks ends the run early. The trace then
+    states the interruption, so that no property can pass on it.
 
     Args:
         world: The open world.
         controller: The controller.
-        scenario: The scenario of world and controller.
+        scenario: The scenario for which world and controller were created.
         on_tick: A function that receives the number of finished ticks, to show progress.
 
     """
@@ -90,10 +90,10 @@ def simulate(
 def simulate_driven(
     episodes: Sequence[tuple[Scenario, KinematicWorld, DrivenController]],
 ) -> list[Trace | ControllerError]:
-    """Run many episodes with users' controllers in parallel lanes, each to its end or to its error.
+    """Run many episodes with users' controllers in parallel lanes, until each episode ends or fails.
 
-    Each trace equals the trace of ``simulate``, bit for bit. Raise ``ControllerError`` for an error that
-    stops all episodes together.
+    Each trace equals the trace of ``simulate`` bit for bit. Raise ``ControllerError`` if an error stops all
+    episodes.
     """
     lanes = [Lane(world, controller, no_ticks(scenario)) for scenario, world, controller in episodes]
     kinds: dict[object, list[Lane]] = {}
@@ -108,7 +108,7 @@ def simulate_driven(
 
 
 def no_ticks(scenario: Scenario) -> NDArray[np.void]:
-    """Return zero records TICK (n,) for a scenario's duration, hands and arm."""
+    """Return zero records TICK (n,) that suit a scenario's duration, hands and arm."""
     joints = len(arm_model(scenario.robot).joint_names)
     return np.zeros(scenario.ticks + 1, tick_dtype(scenario.hand_slots, joints))
 
@@ -120,10 +120,10 @@ def trace_of(
 
     Args:
         scenario: The scenario.
-        world: The world of the run, for the provenance and measurements.
-        controller: The controller of the run, for the decisions.
-        ticks: The ticks (n,) TICK.
-        ended: How the run ended, in a word.
+        world: The world of the run, with its provenance and measurements.
+        controller: The controller of the run, with its decisions.
+        ticks: The records TICK of the run, shape (n,).
+        ended: A phrase that states how the run ended.
 
     """
     decisions = controller.decisions
@@ -146,13 +146,19 @@ def trace_of(
 
 
 def _provenance(world: World, scenario: Scenario) -> Provenance:
-    """Return the provenance of a run; a world with a program of the user's adds it."""
+    """Return the provenance of a run.
+
+    If the world is a user's program, the provenance states the program.
+    """
     made = provenance(world.name, libraries_of(world.name, scenario))
     return world.provenance_of(made) if isinstance(world, NamesProgram) else made
 
 
 def _interventions(scenario: Scenario, controller: Controller) -> NDArray[np.void]:
-    """Return the shield's INTERVENTION (n,); raise ``ControllerError`` if the controller bypasses it."""
+    """Return the shield's interventions, as records INTERVENTION of the shape (n,).
+
+    Raise ``ControllerError`` if the controller bypasses the shield.
+    """
     interventions: NDArray[np.void] = getattr(controller, "interventions", no_interventions())
     if scenario.shield is not None and len(interventions) == 0:
         raise ControllerError(f"{controller.name!r} drives the arm past the shield of its scenario")
@@ -160,7 +166,10 @@ def _interventions(scenario: Scenario, controller: Controller) -> NDArray[np.voi
 
 
 def _filtered(scenario: Scenario, controller: Controller) -> NDArray[np.void]:
-    """Return the filter's FILTERED (n,); raise ``ControllerError`` if the controller bypasses the filter."""
+    """Return the filter's records FILTERED, shape (n,).
+
+    Raise ``ControllerError`` if the controller bypasses the filter.
+    """
     if isinstance(controller, FilteredController):
         return controller.filtered
     if scenario.safety_filter:
@@ -169,7 +178,10 @@ def _filtered(scenario: Scenario, controller: Controller) -> NDArray[np.void]:
 
 
 def _predicted(scenario: Scenario, controller: Controller) -> NDArray[np.void]:
-    """Return the predictor's PREDICTED (n,); raise ``ControllerError`` if the controller bypasses it."""
+    """Return the predictor's sets, as records PREDICTED of the shape (n,).
+
+    Raise ``ControllerError`` if the controller bypasses the predictor.
+    """
     servo = controller.pilot if isinstance(controller, FilteredController) else controller
     predicted: NDArray[np.void] = getattr(servo, "predicted", not_predicted())
     if scenario.predictor and len(predicted) == 0:
@@ -178,7 +190,10 @@ def _predicted(scenario: Scenario, controller: Controller) -> NDArray[np.void]:
 
 
 def _system(scenario: Scenario, controller: Controller) -> SystemUnderTest:
-    """Return the system under test of a run; the code that reads a user's file adds the file's hash."""
+    """Return the system under test of a run.
+
+    The code that reads a user's file adds the hash of the file.
+    """
     part, by_filter = Component(name=controller.name), None
     if isinstance(controller, FilteredController):
         by_filter, controller = Component(name=controller.calls.name), controller.pilot
@@ -204,7 +219,10 @@ class Episode:
         self.ticks = no_ticks(self.scenario)
 
     def advance(self) -> bool:
-        """Go on to the next decision and return True, or to the end and return False."""
+        """Continue to the next decision or to the end.
+
+        Return True at a decision, and False at the end.
+        """
         decided = self.observation is not None
         self.observation = self.world.advance(self.controller.records, self.ticks, decided)
         return self.observation is not None
@@ -215,9 +233,10 @@ class Episode:
 
 
 def simulate_many(episodes: Sequence[Episode]) -> list[Trace]:
-    """Run all episodes to their ends; each trace equals the trace of ``simulate``, bit for bit.
+    """Run all episodes to their ends.
 
-    Only the latency differs: it is NaN for joint decisions, whose times ``ask_many`` does not measure.
+    Each trace equals the trace of ``simulate`` bit for bit, except for the latency. The latency is NaN for
+    batched decisions, because ``ask_many`` does not measure their times.
     """
     under_way = list(episodes)
     while under_way:

@@ -1,12 +1,14 @@
 """Compute the parts of a control tick that both worlds share: cameras, drives, hands and the truth.
 
-A world calls ``sense``, gives the observation to the controller, then calls ``drive_on``. It moves the arm in
-its own way and passes the new joint state to ``move_on``. The functions take the arrays of ``WorldRecords``,
-in the order of that class. The arrays are separate arguments, because a tuple costs more time than the steps
-themselves. Each kind of record has a type of its own, so that a type checker notices two swapped arguments.
+A world calls ``sense``, gives the observation to the controller, then calls ``drive_on``. The world moves the
+arm in its own way and passes the new joint state to ``move_on``. The functions take the arrays of
+``WorldRecords``, in the order of that class. The arrays are separate arguments, because a tuple costs more
+time than the steps themselves. Each kind of record has a type of its own, so that a type checker notices two
+swapped arguments.
 
-A camera takes a frame at the first control tick at or after the frame's due time. It delivers the frame at
-the first tick at or after this tick plus the latency. If a fault delays a frame, the later frames wait too.
+A camera takes a frame at the first control tick at or after the frame's due time. The camera delivers the
+frame at the first tick at or after this tick plus the latency. If a fault delays a frame, the later frames
+wait too.
 """
 
 from __future__ import annotations
@@ -44,7 +46,10 @@ TruthRecords = NewType("TruthRecords", Records)  # (1,) of a tick ``as_compiled`
 
 @inlined
 def now_s(clocks: ClockRecords) -> float:
-    """Return the start [s] of the coming control tick, as a multiple of the period, not as a running sum."""
+    """Return the start [s] of the coming control tick.
+
+    This time is a multiple of the period, not a running sum.
+    """
     return float(clocks[0].tick * clocks[0].control_period_s)
 
 
@@ -64,7 +69,10 @@ def sense(
     normals: Floats,  # (frames, boxes, 3)
     uniforms: Floats,  # (frames, boxes)
 ) -> None:
-    """Let the exact cameras take each frame that is due; give the controller each frame that has arrived."""
+    """Let the exact cameras take each frame that is due.
+
+    Then give the controller each frame that has arrived.
+    """
     mount(clocks, faults, sensors)
     pose = truths[0].transform_tcp_to_base
     if object_frame_due(clocks, sensors):
@@ -84,13 +92,19 @@ def sense(
 
 @inlined
 def mount(clocks: ClockRecords, faults: FaultRecords, sensors: SensorRecords) -> None:
-    """Set the hand-eye camera's pose before the cameras take frames; set the tick's first bits of faults."""
+    """Set the pose of the hand-eye camera before the cameras take frames.
+
+    The function also sets the first bits of the tick's faults.
+    """
     clocks[0].acted_faults = mount_camera(faults, sensors, now_s(clocks)) if faults.shape[0] > 0 else 0
 
 
 @inlined
 def object_frame_due(clocks: ClockRecords, sensors: SensorRecords) -> bool:
-    """Return whether the object's camera takes a frame at this tick; if so, set the next due time."""
+    """Return whether the object's camera takes a frame at this tick.
+
+    If it does, set the next due time.
+    """
     s = sensors[0]
     due, s.object_due_s = take_due(now_s(clocks), s.object_period_s, s.object_due_s)
     return due
@@ -98,7 +112,10 @@ def object_frame_due(clocks: ClockRecords, sensors: SensorRecords) -> bool:
 
 @inlined
 def hand_frame_due(clocks: ClockRecords, sensors: SensorRecords) -> bool:
-    """Return whether the hand sensor takes a frame at this tick; if so, set the next due time."""
+    """Return whether the hand sensor takes a frame at this tick.
+
+    If it does, set the next due time.
+    """
     s = sensors[0]
     due, s.hand_due_s = take_due(now_s(clocks), s.hand_period_s, s.hand_due_s)
     return due
@@ -111,6 +128,7 @@ def take_due(time_s: float, period_s: float, due_s: float) -> tuple[bool, float]
         return True, time_s
     if time_s < due_s - TIME_EPS_S:
         return False, due_s
+    # The next multiple of the period after now: rounding never accumulates, and a missed frame stays missed.
     return True, (np.floor((time_s + TIME_EPS_S) / period_s) + 1.0) * period_s
 
 
@@ -126,7 +144,10 @@ def send_object_frame(
     visible: bool,
     moments: Array31,
 ) -> None:
-    """Store a new frame of the object, with the faults applied, for later delivery."""
+    """Store a new frame of the object for later delivery.
+
+    The function applies the faults to the frame.
+    """
     s, time_s = sensors[0], now_s(clocks)
     frame = object_frames[s.object_frames % RING]
     frame.time_s, frame.late_s = time_s, 0.0
@@ -152,15 +173,18 @@ def send_hand_frame(
     boxes: Floats,  # (n, 5)
     count: int,
 ) -> None:
-    """Store a new frame of boxes, with noise and faults applied, for later delivery.
+    """Store a new frame of boxes for later delivery.
 
-    ``boxes`` may be the frame's own array. The sensor misses some hands. The other boxes get pixel and depth
-    noise. The depth noise grows with the square of the depth, as in a stereo camera.
+    The function applies noise and faults to the frame. ``boxes`` may be the frame's own array. The sensor
+    misses some hands. The other boxes get pixel and depth noise. The depth noise grows with the square of the
+    depth, as in a stereo camera.
     """
     s, time_s = sensors[0], now_s(clocks)
     frame = hand_frames[s.hand_frames % RING]
     frame.time_s, frame.late_s = time_s, 0.0
     kept = 0
+    # Noise belongs to the frame's and the box's number. A missed hand therefore does not shift the noise of
+    # another.
     row = s.hand_frames % normals.shape[0]
     for k in range(count):
         if s.dropout_probability > 0.0 and uniforms[row, k] < s.dropout_probability:
@@ -191,6 +215,7 @@ def hand_over(
     s, o, truth, time_s = sensors[0], observations[0], truths[0], now_s(clocks)
     o.time_s = time_s
     o.image_new = False
+    # Several frames may arrive at once after a delay; the controller gets the newest.
     while s.object_delivered < s.object_frames:
         frame = object_frames[s.object_delivered % RING]
         if frame.time_s + s.object_latency_s + frame.late_s > time_s + TIME_EPS_S:
@@ -223,11 +248,16 @@ def drive_on(
     commands: CommandRecords,
     commanded_radps: ArrayN,
 ) -> bool:
-    """Fill the motors' set points ``commanded_radps`` from a command; return True while the brakes act."""
+    """Fill the motors' set points ``commanded_radps`` from a command.
+
+    Return True while the brakes act.
+    """
     command, time_s = commands[0], now_s(clocks)
     braking = drive_tick(
         drives, command.joint_velocity_radps, command.protective_stop, truths[0].tcp_speed_mps, time_s
     )
+    # The torque limit changes the set points, so it comes before the motors read them. A stuck joint
+    # overrides both.
     if drives[0].limited:
         limit_torques(drives, arms[0].chain.joint_axes, arms[0].link_transforms)
     tell_motors(drives, commanded_radps)
@@ -249,10 +279,14 @@ def move_on(
     joints_rad: ArrayN,
     joints_radps: ArrayN,
 ) -> None:
-    """Move the hands by a control period, and write the truth at the period's end for a given joint state."""
+    """Move the hands for a control period, and write the truth at the end of the period.
+
+    The joint state at the end is an argument.
+    """
     clock = clocks[0]
     for i in range(3):
         clock.tcp_in_base_m[i] = truths[0].transform_tcp_to_base[i, 3]
+    # The hands aim at the TCP of the period's start, so they move before the truth of its end is written.
     advance_hands(hands, moves, samples, clock.tcp_in_base_m, now_s(clocks), clock.control_period_s)
     clock.tick += 1
     fill_truth(

@@ -52,9 +52,9 @@ def _arm_record(arm: ArmModel, hand: Hand) -> NDArray[np.void]:
 def cell_capsules(capsules: CapsuleSet, settings: Settings) -> CapsuleSet:
     """Return the arm's capsules and one more capsule for the body of the hand-eye camera.
 
-    A D435 camera is 90 mm wide, 25 mm high and 25 mm deep (Intel's data sheet). The middle of its capsule is
-    the optical centre, and the axis is along the image's u axis. The radius is half the diagonal of the
-    camera's cross-section.
+    A D435 camera is 90 mm wide, 25 mm high and 25 mm deep (Intel's data sheet). The middle of the camera's
+    capsule is the optical centre, and the axis is along the image's u axis. The radius is half the diagonal
+    of the camera's cross-section.
     """
     return _with_camera(capsules, settings.camera)
 
@@ -64,7 +64,7 @@ def _with_camera(capsules: CapsuleSet, camera: Camera) -> CapsuleSet:
     """Return the capsules of ``cell_capsules``, cached for each set and camera."""
     offset = np.array(camera.mount_offset_in_tcp_m)
     along = np.array([cos(camera.mount_yaw_rad), sin(camera.mount_yaw_rad), 0.0])
-    radius_m = 0.0177
+    radius_m = 0.0177  # half the diagonal of 25 mm x 25 mm
     half_m = 0.045 - radius_m
     return capsules.with_capsule(
         "camera", capsules.frames - 1, offset - half_m * along, offset + half_m * along, radius_m

@@ -1,4 +1,7 @@
-"""Define the interface of every world for the loop of ``simulate``: a truth, an observation, a step."""
+"""Define the interface of every world.
+
+The loop of ``simulate`` needs a truth, an observation and a step.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,10 @@ TABLE_CENTRE_M = (1.0, 0.0, -TABLE_HALF_M[2])  # in the base frame, for a table 
 
 
 class World(Protocol):
-    """An episode of a scenario, to be used once, as a context manager, so that it is closed in any case."""
+    """An episode of a scenario, as a context manager for a single use.
+
+    The context manager closes the world even after an error.
+    """
 
     @property
     def name(self) -> str:
@@ -36,37 +42,42 @@ class World(Protocol):
 
     @property
     def time_s(self) -> float:
-        """The present time [s]: the start of the coming control tick."""
+        """The present time [s], which is the start of the coming control tick."""
 
     @property
     def acted_faults(self) -> int:
-        """The scenario's faults that have acted since the last observation, as bits."""
+        """The faults of the scenario that have acted since the last observation, as bits."""
 
     def true_state(self, tick: NDArray[np.void]) -> None:
-        """Write the truth into ``tick`` (1,) TICK."""
+        """Write the truth into ``tick`` (1,), which is a record TICK."""
 
     def observe(self) -> NDArray[np.void]:
         """Return the OBSERVATION (1,) that the sensors have delivered by now."""
 
     def step(self, command: NDArray[np.void]) -> bool:
-        """Execute ``command`` (1,) COMMAND for a control period; return True while the brakes act."""
+        """Execute a command for a control period, and return True while the brakes act.
+
+        ``command`` (1,) is a record COMMAND.
+        """
 
 
 class BatchWorld(World, Protocol):
     """A world in which many episodes run together.
 
-    Each episode goes on to its next decision; then the caller decides for all episodes together.
+    Each episode continues to its next decision. Then the caller decides for all episodes.
     """
 
     def advance(
         self, controller: ControllerRecords, ticks: NDArray[np.void], decided: bool
     ) -> NDArray[np.void] | None:
-        """Go on to the next decision and return its OBSERVATION (1,), or to the end and return None.
+        """Continue to the next decision, and return its OBSERVATION (1,).
+
+        Return None at the end of the run.
 
         Args:
             controller: The controller's records.
-            ticks: The ticks to fill, (n,) TICK.
-            decided: Whether the run is at a decision that the controller has made.
+            ticks: The records TICK to fill, shape (n,).
+            decided: Whether the run is at a decision that the controller has already made.
 
         """
 
@@ -81,21 +92,24 @@ class ShowsImages(Protocol):
 
 @runtime_checkable
 class NamesProgram(Protocol):
-    """A world that is a program of the user's."""
+    """A world that is a user's program."""
 
     def provenance_of(self, made: Provenance) -> Provenance:
-        """Return the provenance of a run with the program's name, version and hash."""
+        """Return the provenance of a run, with the name, version and hash of the program."""
 
 
 def overshoot_radps(before_radps: ArrayN, own_radps: NDArray[np.float64]) -> ArrayN:
-    """Return how far the joints' speeds within a tick leave the range of the tick's two ends.
+    """Return by how much the joint speeds leave a range during a tick.
+
+    The range of a joint lies between its speed at the start of the tick and its speed at the end.
 
     Args:
         before_radps: The speeds (n,) at the tick's start.
         own_radps: The speeds (m, n) after each sub-step.
 
     Returns:
-        The speeds (n,) beyond that range; 0 if the motors reached their set points in the first sub-step.
+        The excess of the speeds (n,) over that range. It is 0 if the motors reached their set points in the
+            first sub-step.
 
     """
     if not np.abs(own_radps - own_radps[-1]).max() > UNNOTICED_RADPS:
@@ -107,7 +121,10 @@ def overshoot_radps(before_radps: ArrayN, own_radps: NDArray[np.float64]) -> Arr
 
 
 def refuse_rendered(scenario: Scenario, world: str) -> None:
-    """Raise ``InadmissibleError`` if the scenario needs rendered images, which ``world`` cannot make."""
+    """Raise ``InadmissibleError`` if the scenario needs rendered images.
+
+    ``world`` is the name of a world that cannot make such images.
+    """
     settings = scenario.settings
     rendered = {
         "camera.source": settings.camera.source is ImageSource.RENDERED,
@@ -121,10 +138,10 @@ def refuse_rendered(scenario: Scenario, world: str) -> None:
 
 
 class RecordedWorld:
-    """The common part of worlds with their state in ``WorldRecords``: clock, truth and exact cameras.
+    """The common part of all worlds whose state is in ``WorldRecords``.
 
-    A subclass adds its ``name`` and its ``step``. Raise ``InadmissibleError`` for a scenario with rendered
-    images, unless the subclass ``renders``.
+    This part has the clock, the truth and exact cameras. A subclass adds its ``name`` and its ``step``. The
+    constructor raises ``InadmissibleError`` for a scenario with rendered images, unless ``renders`` is True.
     """
 
     name: str
@@ -149,7 +166,10 @@ class RecordedWorld:
         self.close()
 
     def close(self) -> None:
-        """Release the world's resources; a second call has no effect."""
+        """Release the world's resources.
+
+        A second call has no effect.
+        """
 
     @property
     def time_s(self) -> float:
@@ -158,11 +178,14 @@ class RecordedWorld:
 
     @property
     def acted_faults(self) -> int:
-        """The scenario's faults that have acted on this tick's frames and on its step (if done), as bits."""
+        """The faults that have acted since the last observation, as bits."""
         return int(self.records.clock[0]["acted_faults"])
 
     def true_state(self, tick: NDArray[np.void]) -> None:
-        """Write the truth part of ``tick`` (1,) TICK; the controller fills the rest."""
+        """Write the truth part of ``tick`` (1,), which is a record TICK.
+
+        The controller fills the remaining part.
+        """
         tick.view(self.records.truth.dtype)[0] = self.records.truth[0]
 
     def observe(self) -> NDArray[np.void]:

@@ -1,8 +1,10 @@
-"""List all worlds with their names, their abilities and the worlds that confirm them.
+"""List all worlds, with their names and abilities.
 
-To add a world, write a class (``RecordedWorld`` has the common part) and an entry of ``WORLDS``. A program
-may append an entry of its own. Other modules receive an entry and call its methods. This module only looks up
-names and labels from files. The import of this module loads no engine.
+The list also states which worlds confirm results.
+
+To add a world, write a class and an entry of ``WORLDS``. The class ``RecordedWorld`` has the common part. A
+program may append an entry of its own. Other modules receive an entry and call its methods. Only this module
+looks up worlds by the names and labels in files. The import of this module does not load an engine.
 """
 
 from __future__ import annotations
@@ -40,7 +42,7 @@ if TYPE_CHECKING:
 
 
 class OpensWorld(Protocol):
-    """The class of a world, or a function that can replace it."""
+    """The interface of a world's class, or of a function in its place."""
 
     def __call__(
         self,
@@ -50,21 +52,25 @@ class OpensWorld(Protocol):
         *,
         detector: BoundingBoxDetector | None = None,
     ) -> AbstractContextManager[World]:
-        """Open a scenario with the arm at ``joint_position_rad`` (n,); ``detector`` is for rendered hands."""
+        """Open a scenario with the arm at ``joint_position_rad`` (n,).
+
+        ``detector`` detects hands in rendered images.
+        """
 
 
 @dataclass(frozen=True, kw_only=True)
 class WorldEntry:
-    """A world with its abilities; traces call it by ``name``, plans and pages by ``label``.
+    """A world with its abilities.
 
-    ``load`` imports the world's class, and with it the engine. Traces list its ``libraries`` beside the
-    libraries of every run. ``renders`` states that it makes camera images, pixel by pixel. ``substeps``
-    states that it divides a control period by ``physics_substeps``. ``batch`` states that it is a
-    ``BatchWorld``, so that many episodes run together. The recorded speed of a joint may differ from the
-    motor's set point by ``known_to_radps``, because the engine's solver stops there. ``model_only`` states
-    that a reference must confirm a result or a bound before it counts for more than the model. ``reference``
-    states that the world confirms results, and that runs without a named world may be made in it. ``program``
-    states that a run executes the user's simulator.
+    Traces refer to it by ``name``, and plans and pages by ``label``. ``load`` imports the world's class and
+    thereby the engine. Traces list the ``libraries`` in addition to the libraries of every run. If
+    ``renders`` is True, the world renders camera images. If ``substeps`` is True, the world divides a control
+    period into ``physics_substeps`` steps. If ``batch`` is True, the world is a ``BatchWorld``, in which many
+    episodes run together. The recorded speed of a joint may differ from the motor's set point by up to
+    ``known_to_radps``, because the engine's solver stops at this error. If ``model_only`` is True, a result
+    or a bound in this world only applies to the model until a reference world confirms it. If ``reference``
+    is True, the world confirms results, and runs may use it by default. If ``program`` is True, a run
+    executes the user's simulator.
     """
 
     name: str
@@ -86,7 +92,10 @@ class WorldEntry:
 
     @property
     def is_installed(self) -> bool:
-        """Whether the world's engine can be loaded, or its program is there; the property loads an engine."""
+        """Whether the world's engine can be loaded, or whether its program exists.
+
+        The property loads the engine.
+        """
         try:
             self.opener()
         except (InadmissibleError, InstallationError):
@@ -98,7 +107,10 @@ class WorldEntry:
         return self.renders or not has_rendered_images(scenario)
 
     def opener(self) -> OpensWorld:
-        """Return the world's class; raise ``InstallationError`` if its engine is not installed."""
+        """Return the world's class.
+
+        Raise ``InstallationError`` if the world's engine is not installed.
+        """
         try:
             return self.load()
         except ModuleNotFoundError as error:
@@ -119,7 +131,8 @@ class WorldEntry:
             scenario: The scenario, which admission has accepted.
             arm: The arm's model.
             joint_position_rad: The arm's joint position (n,) at the start.
-            detector: A detector of hands in rendered images. None: detection by skin colour.
+            detector: A detector of hands in rendered images. None means that the world detects hands by skin
+                colour.
 
         Returns:
             The world as a context manager, to be used once.
@@ -190,22 +203,28 @@ WORLDS = Registry([PYBULLET, KINEMATIC], ExtensionPoint.WORLDS, WorldEntry)
 
 
 def references() -> Iterator[WorldEntry]:
-    """Yield the installed worlds that confirm results, the first choice first; each is loaded."""
+    """Yield the installed worlds that confirm results, in the order of preference.
+
+    The function loads their engines.
+    """
     return (world for world in WORLDS if world.reference and world.is_installed)
 
 
 def default_world() -> WorldEntry:
-    """Return the world for runs that do not name a world: the first reference, or else the kinematic one."""
+    """Return the world for runs that do not state a world.
+
+    This world is the first installed reference or, if there is no such reference, the kinematic world.
+    """
     return next(references(), KINEMATIC)
 
 
 def confirming_world() -> WorldEntry:
-    """Return the first installed reference; the first of all if none is installed."""
+    """Return the first installed reference, or ``REFERENCE`` if no reference is installed."""
     return next(references(), REFERENCE)
 
 
 def defaulted(world: WorldEntry | str) -> str:
-    """Return a sentence that names the world of runs that do not name one."""
+    """Return a sentence that states the world of runs for which the user chose no world."""
     return f"no world is named, and {REFERENCE} is not installed: runs are made in {world}"
 
 
@@ -217,7 +236,7 @@ def has_rendered_images(scenario: Scenario) -> bool:
 
 
 def libraries_of(world: str, scenario: Scenario) -> tuple[str, ...]:
-    """Return the libraries that a run of ``scenario`` in ``world`` uses beside the libraries of every run.
+    """Return the libraries that a run of ``scenario`` uses in addition to the libraries of every run.
 
     ``world`` is the world's name in traces.
     """
@@ -234,7 +253,10 @@ def worlds_by_label() -> dict[str, WorldEntry]:
 
 
 def world_named(label: str, option: str) -> WorldEntry:
-    """Return the world ``label``, the value of a command's ``option``; ``ScenarioError`` if unknown."""
+    """Return the world with the label ``label``, which is the value of a command's ``option``.
+
+    Raise ``ScenarioError`` if the label is unknown.
+    """
     worlds = worlds_by_label()
     for known, world in worlds.items():
         if known.casefold() == label.casefold():
@@ -245,12 +267,18 @@ def world_named(label: str, option: str) -> WorldEntry:
 
 
 def world_labelled(label: str) -> WorldEntry | None:
-    """Return the world that a plan calls ``label``; None if unknown. A simulator is not executed."""
+    """Return the world to which a plan refers by ``label``, or None if the label is unknown.
+
+    The function does not execute a simulator.
+    """
     return worlds_by_label().get(label) or _of_reference(label)
 
 
 def named_by_user(world: WorldEntry) -> WorldEntry:
-    """Return ``world``, which the user named, so that this process may repeat traces of it."""
+    """Record that the user has chosen ``world``, and return ``world``.
+
+    This process may then repeat traces of this world.
+    """
     _named.add(world.name)
     return world
 
@@ -260,32 +288,35 @@ _named: set[str] = set()  # references that the user named in this process
 
 @lru_cache
 def _of_reference(reference: str) -> WorldEntry | None:
-    """Return the world of a reference such as ``exec:./my_cell``; None if its prefix is no such name."""
+    """Return the world of a reference such as ``exec:./my_cell``, or None if its prefix is unknown."""
     prefix, colon, _ = reference.partition(":")
     makers = dict(loaded(ExtensionPoint.WORLD_PROGRAMS, FunctionType)) if colon else {}
     return replace(makers[prefix](reference), program=True) if prefix in makers else None
 
 
 def entry_of(name: str) -> WorldEntry | None:
-    """Return the world with the ``name`` that a trace states; None for an unknown name."""
+    """Return the world with the ``name`` that a trace states, or None if the name is unknown."""
     return next((world for world in WORLDS if world.name == name), None) or _of_reference(name)
 
 
 def is_simulator(name: str) -> bool:
-    """Return whether a trace's world of this ``name`` is a user's simulator."""
+    """Return whether the world with this ``name`` in a trace is a user's simulator."""
     return ":" in name and (entry := entry_of(name)) is not None and entry.program
 
 
 def world_option(name: str) -> list[str]:
-    """Return the option with which a command repeats a trace of the world ``name``; empty for ours."""
+    """Return the option with which a command repeats a trace of the world ``name``.
+
+    The option is empty unless the world is a user's simulator.
+    """
     return ["--world", name] if is_simulator(name) else []
 
 
 def world_of_trace(name: str) -> WorldEntry:
     """Return the world with the ``name`` that a trace states, to repeat the run.
 
-    Raise ``TraceError`` for an unknown name, and for a program that the user has not named in this process,
-    because a trace must not choose what is executed.
+    Raise ``TraceError`` for an unknown name. Also raise ``TraceError`` for a program that the user has not
+    named in this process, because a trace must not choose a program to execute.
     """
     for world in WORLDS:
         if world.name == name:
@@ -298,5 +329,8 @@ def world_of_trace(name: str) -> WorldEntry:
 
 
 def engine_elsewhere(then: Provenance, now: Provenance) -> bool:
-    """Return whether an engine made a trace on another kind of machine, so that last bits may differ."""
+    """Return whether an engine made a trace on another kind of machine.
+
+    The last bits of its numbers may then differ.
+    """
     return now.world != KINEMATIC.name and then.machine != now.machine

@@ -1,1 +1,1 @@
-"""The user's own properties: temporal formulas over named signals, in Python or as sentences."""
+"""The user's own properties: temporal formulas over named signals, written in Python or as sentences."""

@@ -1,4 +1,7 @@
-"""Judge a formula on a trace: with one of three verdicts, and with a margin and unit for each part."""
+"""Judge a formula on a trace.
+
+The result is one of three verdicts, and each part of the formula has a margin with a unit.
+"""
 
 from __future__ import annotations
 
@@ -62,13 +65,15 @@ WORST_FIRST = (Verdict.VIOLATED, Verdict.INCONCLUSIVE, Verdict.HOLDS)
 
 @dataclass(frozen=True)
 class FormulaClaim:
-    """The property that ``formula`` states; raises FormulaError if the formula mixes dimensions of margins.
+    """The property that ``formula`` states.
 
-    The verdict is *violated* if the values at the ticks are certain to violate the formula, whatever is
-    unknown. It is *holds* if the formula is certain to hold at the ticks and between them, in a complete run
-    that exercised it. Otherwise it is *inconclusive*, with the reason. Of several parts, the worst verdict
-    counts. If measurements are missing or inexact, a verdict must be right for every possible value.
-    ``edition`` is the edition of the language in which the sentence was stored.
+    The constructor raises FormulaError if the formula mixes dimensions of margins. The verdict is *violated*
+    if the values at the ticks certainly violate the formula, for all possible values of the unknown signals.
+    It is *holds* if two conditions are met: the run is complete and contains an occasion that tests the
+    formula, and the formula certainly holds at and between the ticks. Otherwise the verdict is
+    *inconclusive*, and the evaluation states the reason. A claim with several parts has the worst verdict of
+    its parts. If measurements are missing or inexact, a conclusive verdict must be right for every possible
+    value. ``edition`` is the edition of the language in which the sentence was stored.
     """
 
     formula: Formula
@@ -84,7 +89,7 @@ class FormulaClaim:
 
     @property
     def close(self) -> float | None:
-        """Return the margin of ``close_to`` if the claim is one comparison at every tick, else None."""
+        """Return the margin of ``close_to`` if the claim is one comparison at every tick, otherwise None."""
         match parts_of(self.formula):
             case (Always(body=Comparison() as one),):
                 least = one.relation in (Relation.ABOVE, Relation.AT_LEAST)
@@ -102,11 +107,14 @@ class FormulaClaim:
         return _columns_of(self.formula)
 
     def check(self, scenario: Scenario, place: Place | None = None) -> None:
-        """Raise FormulaError at ``place`` if windows exceed a run of ``scenario``."""
+        """Raise FormulaError at ``place`` if a window has no tick, or ends after a run of ``scenario``."""
         check_windows(self.formula, scenario, place or Place(field="formula"))
 
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge ``trace``; raise FormulaError like ``check``."""
+        """Judge ``trace``.
+
+        Raise FormulaError in the same cases as ``check``.
+        """
         self.check(trace.scenario)
         problem = unreadable(trace, ())
         if problem is not None:
@@ -123,9 +131,11 @@ class FormulaClaim:
 
 
 def _deciding(parts: tuple[Evaluation, ...]) -> Evaluation:
-    """Return the part with the worst verdict; of several in the first one's unit, that with the least margin.
+    """Return the part with the worst verdict.
 
-    The reason states the verdict of each part.
+    If several parts have that verdict, the function compares only the parts that have the same unit as the
+    first of these parts. It returns the part with the least margin. The reason states the verdict of each
+    part.
     """
     verdict = next(v for v in WORST_FIRST if any(part.verdict is v for part in parts))
     grave = [part for part in parts if part.verdict is verdict]
@@ -146,7 +156,7 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class _Asked:
-    """A part of a claim, asked of one run, with its signals sampled there."""
+    """The part of a claim that is judged on a run, with the signals of that run."""
 
     part: Formula
     trace: Trace
@@ -176,7 +186,10 @@ class _Asked:
         return comparison_bounds(atom, low, high)
 
     def bounds_between_ticks(self, atom: Comparison | Truth) -> MarginBounds:
-        """Return margins from each tick to the next, unknown if the signal is unknown at the tick."""
+        """Return bounds of the margin from each tick to the next.
+
+        The bounds are infinite if the signal is unknown at the tick.
+        """
         sampled = self.sampled[atom.signal]
         if isinstance(atom, Truth) or sampled.low is sampled.high:
             return self.at_ticks(atom)
@@ -187,7 +200,11 @@ class _Asked:
         return comparison_bounds(atom, low, high)
 
     def reached(self, atom: Comparison | Truth) -> MarginBounds:
-        """Return margins with the value that the signal certainly reaches between ticks, if it is known."""
+        """Return bounds of the margin from each tick to the next.
+
+        The bounds include the value that the signal certainly reaches between the ticks, if this value is
+        known.
+        """
         sampled = self.sampled[atom.signal]
         if sampled.surely is None or isinstance(atom, Truth):
             return self.bounds_between_ticks(atom)
@@ -195,10 +212,10 @@ class _Asked:
         return comparison_bounds(atom, low, high)
 
     def surely(self, at_ticks: Margins) -> float:
-        """Return an upper bound of the part's margin, from the ticks and the moments between them.
+        """Return an upper bound of the part's margin.
 
-        Moments between ticks count only if the part asks the same of every moment. The last moment is the
-        last tick.
+        The bound covers the ticks. It also covers the moments between the ticks if the part makes the same
+        demand at every moment. The last moment is the last tick.
         """
         part, most = self.part, float(at_ticks.bounds.high[0])
         always = isinstance(part, Globally) or (isinstance(part, Always) and part.span is None)
@@ -209,7 +226,10 @@ class _Asked:
         return min(most, float(margins(part, self.reached, self.period_s).bounds.high[0]))
 
     def cases(self, atoms: Atoms) -> list[Case]:
-        """Return a case for each mode that was possible in a gap, if the part asks for several modes."""
+        """Return one case for each mode that is possible in a gap.
+
+        The result is empty if the part does not read several modes.
+        """
         gaps = self.trace.known.column("mode").gaps
         several = len(MODES.keys() & self.sampled.keys()) > 1
         either = {mode for gap in gaps for mode in gap.either} if several else set()
@@ -227,13 +247,15 @@ class _Asked:
         return margin_cases
 
     def exercised(self, at_ticks: Margins, *, perhaps: bool = False) -> tuple[int, str]:
-        """Return how often the run certainly exercised the part, and what was missing if never.
+        """Return how often the run certainly exercised the part, and a text on the missing event.
 
-        A part with a trigger is exercised each time that the trigger begins to hold. For "until" and
-        "eventually", the ticks before their goal count (before edition 3, only for "until"). Otherwise every
-        known tick counts at which the part asks. If a signal has occasions of its own, their number at such
-        ticks is an upper bound, unless the signal is in the trigger. If a speed is certain at no tick, a
-        certain motion of its place counts. With ``perhaps``, every unknown tick counts.
+        The text is used if the run never exercised the part. A part with a trigger is exercised each time
+        that the trigger begins to hold. "until" and "eventually" are exercised at each known tick before
+        their goal is met. Before edition 3, only "until" follows this rule. Any other part is exercised at
+        each known tick to which it applies. If a signal counts its own occasions, the number of these
+        occasions is an upper bound, unless the signal belongs to the trigger. Suppose that a speed is not
+        known exactly enough at any tick. If the position that changes with this speed certainly changes, the
+        part is exercised once. If ``perhaps`` is True, ticks whose values are unknown are included.
         """
         part, tried = self.part, set(self.sampled)
         ticks = ticks_asked(at_ticks, self.period_s)
@@ -269,7 +291,10 @@ class _Asked:
         return count, untried
 
     def untried(self, sampled: Sampled, when: NDArray[np.bool_], near_m: float) -> str:
-        """Return words on what did not happen at the ticks ``when`` (n,) at which the part asks."""
+        """Return a text about the missing event.
+
+        ``when`` (n,) marks the ticks to which the part applies.
+        """
         where = "" if when.all() else " at any tick that the formula asks of"
         if sampled.comes is None:
             return f"{sampled.untried}{where}"
@@ -278,23 +303,32 @@ class _Asked:
         return (nearest or f"there was no {body}") + where
 
     def begun(self, surely: NDArray[np.bool_], never: NDArray[np.bool_]) -> int:
-        """Return how often a state begins at least, as it may have continued over unknown ticks."""
+        """Return how often a state certainly begins.
+
+        The state may have continued over unknown ticks, so these ticks are skipped.
+        """
         return times_begun(surely[surely | never] if self.lacking else surely)
 
     def unexercised(self, at_ticks: Margins, untried: str) -> Evaluation:
-        """Return inconclusive: the part was never exercised, or only by values that were not measured."""
+        """Return an inconclusive evaluation for a part that was never exercised.
+
+        If only unmeasured values may have exercised it, the reason says so.
+        """
         if self.lacking and self.exercised(at_ticks, perhaps=True)[0]:
             return self.lacks(self.lacking, "nothing else tells whether it was exercised")
         return inconclusive(self, f"never exercised: {untried}")
 
     @cached_property
     def lacking(self) -> tuple[str, ...]:
-        """Return the columns that the part reads and the trace does not wholly know."""
+        """Return the columns that the part reads and that the trace does not know completely."""
         known = self.trace.known
         return () if known.whole else tuple(n for n in _columns_of(self.part) if known.column(n).limited)
 
     def lacks(self, columns: tuple[str, ...], reason: str = "", exercised: int = 0) -> Evaluation:
-        """Return inconclusive, since ``columns`` are not known well enough; ``reason`` tells more."""
+        """Return an inconclusive evaluation, because the columns ``columns`` are not known well enough.
+
+        ``reason`` gives more detail.
+        """
         gaps = gaps_of(self.trace, columns)
         text = f"not measured: {', '.join(gaps)}" if gaps else ""
         rest = [name for name in columns if name not in gaps]
@@ -304,7 +338,10 @@ class _Asked:
         return replace(inconclusive(self, text, exercised=exercised), unmeasured=columns)
 
     def nearest(self, trigger: Formula, at_ticks: Margins) -> str:
-        """Return words on the least that ``trigger`` lacked; empty if it compares several quantities."""
+        """Return a text about the smallest amount by which ``trigger`` failed to hold.
+
+        The text is empty if the trigger compares several quantities, or if the amount is unknown.
+        """
         low = at_ticks.bounds.low[: len(self.trace.ticks)]
         try:
             unit = unit_of(trigger)
@@ -319,7 +356,10 @@ class _Asked:
     def undecided(
         self, at_ticks: Margins, between_ticks: Margins, surely: float, exercised: int
     ) -> Evaluation:
-        """Return inconclusive: a value is unknown or uncertain, or the bounds between ticks are too wide."""
+        """Return an inconclusive evaluation for a part whose bounds are too far apart.
+
+        The reason may also be that a value is unknown or uncertain.
+        """
         holds, uncertain = at_ticks.bounds.low[0] >= 0.0, self.trace.known.uncertain(self.lacking)
         ends = [float(between_ticks.bounds.low[0]), surely]
         evaluation = self.evaluation_of(Verdict.INCONCLUSIVE, between_ticks, exercised)
@@ -339,7 +379,11 @@ class _Asked:
         )
 
     def unknown(self, decisive: Witness, exercised: int) -> Evaluation:
-        """Return inconclusive for the unknown value at the ``decisive`` tick, or else for the first one."""
+        """Return inconclusive because a value is unknown or a window ends after the run.
+
+        The reason states the unknown value at the ``decisive`` tick. If the deciding signal is known there,
+        the reason states the first unknown value.
+        """
         trace, columns = self.trace, self.lacking
         why = "a window runs beyond the end of the run, which does not decide it"
         if not trace.complete:
@@ -363,7 +407,11 @@ class _Asked:
     def evaluation_of(
         self, verdict: Verdict, seen: Margins, exercised: int, *, low: bool = True
     ) -> Evaluation:
-        """Return ``verdict`` with the lower (or upper) bound of ``seen`` and the moment that decided it."""
+        """Return an evaluation with ``verdict``, a bound of the margin and the decisive moment.
+
+        The bound is the lower bound of ``seen`` if ``low`` is true, and the upper bound of ``seen``
+        otherwise.
+        """
         decisive = witness(seen, 0, self.period_s, low=low)
         margin, unit = float((seen.bounds.low if low else seen.bounds.high)[0]), self.unit
         margin = 0.0 if margin == LEAST else margin
@@ -389,15 +437,19 @@ class _Asked:
 
 
 def near_of(part: Formula, signal: Signal) -> float:
-    """Return how small the distance ``signal`` has to become to exercise ``part``."""
+    """Return the distance at which ``signal`` begins to exercise ``part``.
+
+    A distance below this limit exercises the part.
+    """
     comparisons = (node for node in part.nodes() if isinstance(node, Comparison) and node.signal is signal)
     return occasion_m(max((comparison.limit.value for comparison in comparisons), default=0.0))
 
 
 def judge_part(part: Formula, trace: Trace, edition: int = EDITION, *, finely: bool = False) -> Evaluation:
-    """Return the evaluation of ``part``; ``trace`` must not be empty or contradict itself.
+    """Return the evaluation of ``part`` on ``trace``, which must not be empty or contradict itself.
 
-    ``finely`` uses the closer bounds of signals; the function calls itself so if they may decide.
+    If ``finely`` is true, the function uses closer bounds of the signals. It calls itself with
+    ``finely=True`` if the closer bounds may lead to a verdict.
     """
     whole = trace.known.whole
     missing = () if whole else trace.known.missing(_columns_of(part))
@@ -426,6 +478,7 @@ def judge_part(part: Formula, trace: Trace, edition: int = EDITION, *, finely: b
         for atoms in (judging.at_ticks, judging.bounds_between_ticks)
     )
     low, surely = between_ticks.bounds.low[0], judging.surely(at_ticks)
+    # The finer signals take longer, so they are computed only where they may decide.
     if low < 0.0 <= surely and not finely and any(signal.finer for signal in sampled):
         return judge_part(part, trace, edition, finely=True)
     exercised, untried = judging.exercised(at_ticks)
@@ -448,12 +501,15 @@ def judge_part(part: Formula, trace: Trace, edition: int = EDITION, *, finely: b
 
 
 def _holes(sampled: Sampled) -> NDArray[np.bool_]:
-    """Return (n,) whether a signal is not known, or not wholly known, at each tick."""
+    """Return a mask of the ticks at which a signal is unknown or only partly known, shape (n,)."""
     return np.isnan(sampled.value) if sampled.lost is None else np.isnan(sampled.value) | sampled.lost
 
 
 def _impossible(signal: Signal, sampled: Sampled, trace: Trace) -> str:
-    """Return why no run can have the signal's values; empty if a run can."""
+    """Return a message that says why the signal's values are impossible in a run.
+
+    The message is empty if the values are possible.
+    """
     impossible = signal.impossible(sampled) if isinstance(signal, Measure) else None
     if impossible is None:
         return ""
@@ -463,6 +519,9 @@ def _impossible(signal: Signal, sampled: Sampled, trace: Trace) -> str:
 
 
 def _whole_run(values: Values, trace: Trace) -> Values:
-    """Return (scenario.ticks + 1,) values, with NaN for the ticks that the run did not reach."""
+    """Return the values of a whole run, with NaN for the ticks that the run did not reach.
+
+    The shape is (scenario.ticks + 1,).
+    """
     missing = trace.scenario.ticks + 1 - len(values)
     return np.append(values, np.full(missing, np.nan)) if missing > 0 else values

@@ -4,15 +4,16 @@
     whenever(hand_distance() < mm(300)).then(eventually(tcp_speed() < mm_per_s(100), window=ms(200)))
     repulsing().until(hand_distance() > mm(300), window=s(4))
 
-Formulas are frozen trees that compare by value; ``str`` returns a formula's sentence in a scenario file.
-``&``, ``|`` and ``~`` join them, each comparison in parentheses. Python's own ``and``, ``or``, ``not`` and
-``a < x < b`` need to know whether a formula is true. Only a run can tell that, so they raise FormulaError.
+Formulas are frozen trees that are compared by value. ``str`` returns the sentence that expresses a formula in
+a scenario file. ``&`` and ``|`` join formulas, and ``~`` negates a formula; each comparison must be in
+parentheses. Python's own ``and``, ``or``, ``not`` and ``a < x < b`` would evaluate the truth of a formula at
+once. Only a run can decide that, so these operators raise FormulaError.
 
-A claim splits its formula at each "and" at its top into parts about the whole run. A part without a temporal
-operator applies to every tick, as if it began with "always". A part that begins with a temporal operator
-applies to the first tick and the ticks after it. A part that joins both kinds is refused as ambiguous.
-"always (a and b)" and "whenever t then (a and b)" are split into two halves, so that each half has its own
-margin.
+A claim is split at each "and" on the top level of its formula, and each part is about the whole run. A part
+without a temporal operator applies to every tick, as if it began with "always". A part that begins with a
+temporal operator applies to the first tick and the ticks after it. A part is refused as ambiguous if it
+combines operands that have a temporal operator with operands that have no temporal operator. "always (a and
+b)" and "whenever t then (a and b)" are also split into two parts, so that each part has its own margin.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class Relation(Enum):
 
 
 class Formula:
-    """The base of all formulas, whose only kinds are the classes below."""
+    """The base class of all formulas; the only kinds of formula are the classes below."""
 
     def __post_init__(self) -> None:
         _refuse_what_stands_at_the_top(self)
@@ -76,7 +77,10 @@ class Formula:
 
     @renamed_parameters(within="window")  # deprecated: the old name, for one release
     def until(self, right: Formula, *, window: Window = None) -> Formula:
-        """Return the formula that this holds until ``right`` does, at a tick of ``window`` if it is given."""
+        """Return a formula that requires this formula until ``right`` holds.
+
+        If ``window`` is given, ``right`` must hold at a tick of the window.
+        """
         return Until(self, formula_of(right, "until"), span_of(window))
 
     def __bool__(self) -> bool:
@@ -89,7 +93,10 @@ class Formula:
 
 @dataclass(frozen=True)
 class Comparison(Formula):
-    """The comparison of a signal with a limit; its margin is the distance on the right side of the limit."""
+    """The comparison of a signal with a limit.
+
+    Its margin is the distance from the limit, which is positive if the comparison is true.
+    """
 
     signal: Signal
     relation: Relation
@@ -114,7 +121,7 @@ class Comparison(Formula):
 
 @dataclass(frozen=True)
 class Truth(Formula):
-    """A formula that is a true or false signal; its margin is inf or -inf."""
+    """A formula that is a single true-or-false signal; its margin is inf or -inf."""
 
     signal: Signal
 
@@ -136,7 +143,7 @@ class _Over(Formula):
 
 @dataclass(frozen=True)
 class Not(_Over):
-    """The formula that the body does not hold; its margin is the body's with the opposite sign."""
+    """The requirement that the body is false; its margin is the body's margin with the opposite sign."""
 
     def __str__(self) -> str:
         return f"not {operand(self.body)}"
@@ -144,7 +151,7 @@ class Not(_Over):
 
 @dataclass(frozen=True)
 class Initially(_Over):
-    """The formula that the body holds at the first tick."""
+    """The requirement that the body holds at the first tick."""
 
     def __str__(self) -> str:
         return f"initially {operand(self.body)}"
@@ -152,7 +159,11 @@ class Initially(_Over):
 
 @dataclass(frozen=True)
 class Always(_Over):
-    """The formula that the body holds at every tick of the window, or from now on: the least margin."""
+    """The requirement that the body holds at every tick of the window.
+
+    Its margin is the least margin of the body at these ticks. Without a window, the requirement covers all
+    ticks from now on.
+    """
 
     span: Span | None = None
 
@@ -163,7 +174,11 @@ class Always(_Over):
 
 @dataclass(frozen=True)
 class Eventually(_Over):
-    """The formula that the body holds at a tick of the window, or at one from now on: the largest margin."""
+    """The requirement that the body holds at one or more ticks of the window.
+
+    Its margin is the largest margin of the body at these ticks. Without a window, the requirement covers all
+    ticks from now on.
+    """
 
     span: Span | None = None
 
@@ -187,10 +202,10 @@ class _Several(Formula):
 
 @dataclass(frozen=True)
 class And(_Several):
-    """The formula that all members hold; its margin is the least of theirs."""
+    """The requirement that all members hold; its margin is the least margin of the members."""
 
     def __post_init__(self) -> None:
-        """Accept every kind of member, since "and" may join the parts of a whole claim."""
+        """Accept members of every kind, because the parts of a whole claim may also be joined by "and"."""
 
     def __str__(self) -> str:
         return " and ".join(joined(part) for part in self.members)
@@ -198,7 +213,7 @@ class And(_Several):
 
 @dataclass(frozen=True)
 class Or(_Several):
-    """The formula that at least one member holds; its margin is the largest of theirs."""
+    """The requirement that at least one member holds; its margin is the largest margin of the members."""
 
     def __str__(self) -> str:
         return " or ".join(joined(part) for part in self.members)
@@ -206,7 +221,10 @@ class Or(_Several):
 
 @dataclass(frozen=True)
 class Until(Formula):
-    """The formula that ``second`` holds at a tick of the window, and ``first`` at every tick before it."""
+    """The requirement that ``second`` holds at some tick of the window.
+
+    Before that tick, ``first`` must hold at every tick.
+    """
 
     first: Formula
     second: Formula
@@ -214,7 +232,7 @@ class Until(Formula):
 
     @property
     def parts(self) -> tuple[Formula, ...]:
-        """Return the part that lasts, and the part that ends it."""
+        """Return both operands: the formula that must last, and the formula that ends it."""
         return (self.first, self.second)
 
     def __str__(self) -> str:
@@ -224,14 +242,17 @@ class Until(Formula):
 
 @dataclass(frozen=True)
 class Globally(Formula):
-    """The formula that ``response`` holds whenever ``trigger`` does; the trigger has no margin of its own."""
+    """The requirement that ``response`` holds whenever ``trigger`` does.
+
+    The trigger has no margin of its own.
+    """
 
     trigger: Formula
     response: Formula
 
     @property
     def parts(self) -> tuple[Formula, ...]:
-        """Return trigger and response."""
+        """Return the trigger and the response."""
         return (self.trigger, self.response)
 
     def __str__(self) -> str:
@@ -240,7 +261,10 @@ class Globally(Formula):
 
 
 def goal_of(part: Formula) -> Formula | None:
-    """Return the formula that must hold at some tick for ``part`` to hold; None without such a goal."""
+    """Return the formula that ``part`` requires to hold at some tick.
+
+    The result is None if ``part`` has no such requirement.
+    """
     match part:
         case Until():
             return part.second
@@ -256,12 +280,18 @@ _JOINS = (And, Or, Until)
 
 
 def operand(formula: Formula) -> str:
-    """Return the text of ``formula`` after an operator, in parentheses if it joins several formulas."""
+    """Return the text of ``formula`` as the operand of an operator.
+
+    The text is in parentheses if ``formula`` joins several formulas.
+    """
     return f"({formula})" if isinstance(formula, _JOINS) else str(formula)
 
 
 def joined(formula: Formula) -> str:
-    """Return the text of ``formula`` beside "and", "or", "until", in parentheses if it is ambiguous there."""
+    """Return the text of ``formula`` as an operand of "and", "or" or "until".
+
+    The text is in parentheses if it would be ambiguous without them.
+    """
     inner = formula
     while isinstance(inner, Not):
         inner = inner.body
@@ -270,26 +300,35 @@ def joined(formula: Formula) -> str:
 
 
 def conjunction(*formulas: Formula) -> Formula:
-    """Return ``formulas`` joined by "and"; the members of an "and" among them are joined directly."""
+    """Return one formula that joins ``formulas`` with "and".
+
+    If a formula is an "and" itself, its members are joined directly.
+    """
     return And(tuple(p for part in formulas for p in (part.members if isinstance(part, And) else (part,))))
 
 
 def disjunction(*formulas: Formula) -> Formula:
-    """Return ``formulas`` joined by "or"; the members of an "or" among them are joined directly."""
+    """Return one formula that joins ``formulas`` with "or".
+
+    If a formula is an "or" itself, its members are joined directly.
+    """
     return Or(
         tuple(p for formula in formulas for p in (formula.members if isinstance(formula, Or) else (formula,)))
     )
 
 
 def formula_of(value: object, operator: str) -> Formula:
-    """Return ``value`` if it is a formula; else raise FormulaError, which names ``operator``."""
+    """Return ``value`` if it is a formula.
+
+    Otherwise raise FormulaError, whose message contains ``operator``.
+    """
     if isinstance(value, Formula):
         return value
     raise formula_error(f'a formula such as hand_distance() > mm(50) beside "{operator}"', str(value))
 
 
 def _refuse_what_stands_at_the_top(formula: Formula) -> None:
-    """Raise FormulaError if a part is no formula, or is of a kind that only a whole claim can be."""
+    """Raise FormulaError if a part is no formula, or has an operator that only a whole claim may have."""
     operator = type(formula).__name__.lower()
     for part in formula.parts:
         for node in formula_of(part, operator).nodes():
@@ -313,7 +352,11 @@ _UNITS = (
 
 
 def parts_of(formula: Formula) -> tuple[Formula, ...]:
-    """Return the parts of a claim, each with a temporal operator; raise FormulaError if one has no margin."""
+    """Return the parts of a claim, each with a temporal operator.
+
+    Raise FormulaError if a part mixes dimensions, or if a temporal operator covers only some operands of a
+    part.
+    """
     parts = tuple(_with_time(part) for part in _split(formula))
     for part in parts:
         dimension_of(part)
@@ -335,7 +378,10 @@ def _split(formula: Formula) -> list[Formula]:
 
 
 def _with_time(part: Formula) -> Formula:
-    """Return ``part``, after "always" if it has no time; raise FormulaError if only a part of it has one."""
+    """Return ``part``, and put "always" in front of it if it has no temporal operator.
+
+    Raise FormulaError if some of its comparisons are under a temporal operator and others are not.
+    """
     if not any(isinstance(node, TEMPORAL) for node in part.nodes()):
         return Always(part)
     if (bare := next(_of_no_time(part), None)) is not None:
@@ -348,7 +394,7 @@ def _with_time(part: Formula) -> Formula:
 
 
 def _of_no_time(formula: Formula) -> Iterator[Formula]:
-    """Yield the comparisons and truths without a temporal operator above them."""
+    """Yield each Comparison and Truth that is not under a temporal operator."""
     if isinstance(formula, Comparison | Truth):
         yield formula
     elif not isinstance(formula, TEMPORAL):
@@ -357,19 +403,22 @@ def _of_no_time(formula: Formula) -> Iterator[Formula]:
 
 
 def unit_of(part: Formula) -> Unit:
-    """Return the unit of a part's margin; a count if the part has only truths."""
+    """Return the unit of a part's margin.
+
+    The unit is a count if all signals of the part are true or false.
+    """
     return shown_in(dimension_of(part))
 
 
 def shown_in(dimension: Dimension | None) -> Unit:
-    """Return the unit in which values of ``dimension`` are shown."""
+    """Return the unit for displaying values of ``dimension``."""
     return next((unit for own, unit in _UNITS if own is dimension), Unit.COUNT)
 
 
 def dimension_of(formula: Formula) -> Dimension | None:
-    """Return the dimension of a formula's margin, None for truths alone; raise FormulaError for a mixture.
+    """Return the dimension of a formula's margin, or None if all its signals are true or false.
 
-    A trigger has no margin, so it may mix dimensions.
+    Raise FormulaError if the formula mixes dimensions. A trigger has no margin, so it may mix dimensions.
     """
     if isinstance(formula, Comparison):
         return formula.signal.dimension
@@ -390,13 +439,13 @@ def dimension_of(formula: Formula) -> Dimension | None:
 
 
 def signals_of(formula: Formula) -> tuple[Signal, ...]:
-    """Return every signal that a formula reads, once, in the order of the sentence."""
+    """Return every signal that a formula reads, without repetitions, in the order of the sentence."""
     atoms = (node for node in formula.nodes() if isinstance(node, Comparison | Truth))
     return tuple(dict.fromkeys(atom.signal for atom in atoms))
 
 
 def check_windows(formula: Formula, scenario: Scenario, place: Place) -> None:
-    """Raise FormulaError at ``place`` if a window has no tick, or windows exceed a run of ``scenario``."""
+    """Raise FormulaError at ``place`` if a window has no tick, or ends after a run of ``scenario``."""
     period_s = scenario.settings.clock.control_period_s
     for node in formula.nodes():
         span = getattr(node, "span", None)
@@ -417,7 +466,10 @@ def check_windows(formula: Formula, scenario: Scenario, place: Place) -> None:
 
 
 def reach_ticks(formula: Formula, period_s: float) -> int:
-    """Return how many ticks after a tick the last window of ``formula`` ends, if it begins at that tick."""
+    """Return the number of ticks that ``formula`` looks ahead.
+
+    This is the largest sum of the ends of nested windows.
+    """
     span = formula.span if isinstance(formula, Always | Eventually | Until) else None
     own = span.ticks(period_s)[1] if span is not None else 0
     return own + max((reach_ticks(part, period_s) for part in formula.parts), default=0)

@@ -1,4 +1,4 @@
-"""All names with which formulas are written in Python."""
+"""The names that are used to write formulas in Python."""
 
 from __future__ import annotations
 
@@ -154,38 +154,38 @@ def rad_per_s(number: float) -> Quantity:
 
 @renamed_parameters(within="window")  # deprecated: the old name, for one release
 def always(formula: Formula, *, window: Window = None) -> Formula:
-    """Return the formula that ``formula`` holds at every tick from now on, or at every tick of ``window``.
+    """Return a formula that requires ``formula`` at every tick from now on, or at every tick of ``window``.
 
-    ``window=s(2)`` is the window from now to 2 s, and ``window=(s(0.1), s(0.5))`` the window from 0.1 s to
-    0.5 s. Windows include their ends.
+    ``window=s(2)`` lasts from now to 2 s, and ``window=(s(0.1), s(0.5))`` lasts from 0.1 s to 0.5 s. Windows
+    include their ends.
     """
     return Always(formula_of(formula, "always"), span_of(window))
 
 
 @renamed_parameters(within="window")  # deprecated: the old name, for one release
 def eventually(formula: Formula, *, window: Window = None) -> Formula:
-    """Return the formula that ``formula`` holds at one tick or more, from now on or in ``window``."""
+    """Return a formula that requires ``formula`` at one or more ticks, from now on or within ``window``."""
     return Eventually(formula_of(formula, "eventually"), span_of(window))
 
 
 def initially(formula: Formula) -> Formula:
-    """Return the formula that ``formula`` holds at the first tick of the run."""
+    """Return a formula that requires ``formula`` at the first tick of the run."""
     return Initially(formula_of(formula, "initially"))
 
 
 @dataclass(frozen=True)
 class Antecedent:
-    """The first half of ``whenever(...).then(...)``."""
+    """The trigger of ``whenever(...).then(...)``, without its response."""
 
     trigger: Formula
 
     def then(self, response: Formula) -> Formula:
-        """Return the formula that ``response`` holds at every tick at which the trigger does."""
+        """Return a formula that requires ``response`` at every tick at which the trigger holds."""
         return Globally(self.trigger, formula_of(response, "then"))
 
 
 def whenever(trigger: Formula) -> Antecedent:
-    """Begin ``whenever(p).then(q)``, the formula that q holds at every tick at which ``trigger`` p does.
+    """Begin ``whenever(p).then(q)``, which requires q at every tick at which the ``trigger`` p holds.
 
     A run in which p never holds is not evidence.
     """

@@ -1,4 +1,7 @@
-"""The two kinds of signal: a measure, which formulas compare with a limit, and a flag, true or false."""
+"""The two kinds of signal.
+
+A measure is a number, which formulas compare with a limit. A flag is true or false.
+"""
 
 from __future__ import annotations
 
@@ -15,13 +18,16 @@ from safety_harness.trace.records import ENDLESS
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Flag(Signal):
-    """A signal that is true or false at each tick; calling it, as ``stopped()``, gives a formula."""
+    """A signal that is true or false at each tick.
+
+    A call of the signal, such as ``stopped()``, returns a formula.
+    """
 
     dimension: None = None
     between: Interpolation = Interpolation.HELD
 
     def __call__(self) -> Formula:
-        """Return the formula that the flag is true."""
+        """Return a formula that holds while the flag is true."""
         return Truth(self)
 
 
@@ -29,7 +35,7 @@ class Flag(Signal):
 class Measure(Signal):
     """A signal with a value of ``dimension`` at each tick, for comparison with a limit of that dimension.
 
-    In a run, its values are at least ``least``, and only an ``endless`` measure has infinite values. A limit
+    In a run, no value is below ``least``, and a value is infinite only if the measure is ``endless``. A limit
     below ``lowest``, or above the largest limit of its dimension, is refused because no run comes near it.
     """
 
@@ -44,10 +50,10 @@ class Measure(Signal):
         return self.lowest, self.dimension.most_of_limits
 
     def impossible(self, sampled: Sampled) -> tuple[int, float] | None:
-        """Return the first tick with a value or bound that no run can have, and that value; else None.
+        """Return the first tick with a value or bound that is impossible in a run, and this value or bound.
 
-        NaN is unknown and so possible. So is a missing lower bound, which motors that may saturate leave open
-        between two ticks.
+        Return None if all values and bounds are possible. NaN means unknown, so it is possible. An infinite
+        bound is possible between two ticks if motors may saturate there.
         """
         least, unbounded = self.least, np.isneginf(sampled.low)
         for side, unknown in ((sampled.value, np.nan), (sampled.low, -np.inf), (sampled.high, np.inf)):
@@ -61,7 +67,7 @@ class Measure(Signal):
         return None
 
     def __call__(self) -> Measure:
-        """Return the measure itself: ``tcp_speed() < mm_per_s(250)`` equals ``tcp_speed < mm_per_s(250)``."""
+        """Return the measure itself, so that ``tcp_speed()`` and ``tcp_speed`` mean the same in a formula."""
         return self
 
     def __lt__(self, limit: Quantity | float) -> Comparison:

@@ -12,7 +12,10 @@ from safety_harness.scenario.units import NUMBER, TIME, Dimension, normal_unit, 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A ``value`` in SI with its ``dimension``, and with the text ``written``, which comparisons ignore."""
+    """A physical quantity with its ``value`` in SI units and its ``dimension``.
+
+    ``written`` is the quantity as text, which comparisons ignore.
+    """
 
     value: float
     dimension: Dimension = field(compare=False)
@@ -37,7 +40,7 @@ class Quantity:
 
 
 def formula_error(expected: str, got: str, hint: str = "") -> FormulaError:
-    """Return a FormulaError for a mistake in a formula that is not, or not yet, in a file."""
+    """Return a FormulaError for a mistake in a formula that does not come from a file."""
     return FormulaError(place=Place(field="formula"), expected=expected, got=got, hint=hint)
 
 
@@ -49,7 +52,11 @@ def _needs_parentheses(sign: str, quantity: Quantity) -> FormulaError:
 
 
 def quantity(number: float, unit: str, dimension: Dimension) -> Quantity:
-    """Return ``number`` (finite) in a ``unit`` of ``dimension``, as the float in SI nearest to its text."""
+    """Return ``number`` in ``unit`` as a quantity.
+
+    The quantity's value is the nearest float in SI units. The number must be finite, and the unit must be a
+    unit of ``dimension``.
+    """
     if isinstance(number, bool) or not isinstance(number, Real) or not math.isfinite(number):
         expected = f"a finite number of {unit}" if unit else "a finite number"
         raise FormulaError(place=Place(field=unit or "formula"), expected=expected, got=repr(number))
@@ -57,7 +64,10 @@ def quantity(number: float, unit: str, dimension: Dimension) -> Quantity:
 
 
 def read_quantity(text: str, dimension: Dimension, place: Place) -> Quantity:
-    """Return the quantity in ``text``; raise ScenarioError at ``place`` if it is not of ``dimension``."""
+    """Return the quantity in ``text``.
+
+    Raise ScenarioError at ``place`` if the quantity does not have the dimension ``dimension``.
+    """
     value = parse_quantity(text, dimension, place)
     number, _, unit = text.strip().partition(" ")
     if "e" not in number.lower():
@@ -75,12 +85,15 @@ def plain(number: float) -> Quantity:
 
 TIME_EPS = 1e-6  # of a control period: windows are written in decimals
 Window = Quantity | tuple[Quantity, Quantity] | None
-NOW = Quantity(0.0, TIME, "0 s")
+NOW = Quantity(0.0, TIME, "0 s")  # the beginning of a window that states only its end
 
 
 @dataclass(frozen=True)
 class Span:
-    """A window of time from ``begin`` to ``end``, both counted from now and included."""
+    """A window of time from ``begin`` to ``end``.
+
+    Both times are relative to the present tick, and the window includes both.
+    """
 
     begin: Quantity
     end: Quantity
@@ -94,19 +107,29 @@ class Span:
             raise formula_error("a window from a time of at least 0 s to a later one", got)
 
     def ticks(self, period_s: float) -> tuple[int, int]:
-        """Return the first and last tick, counted from now; the last is earlier if the window has no tick."""
+        """Return the first and the last tick, relative to now.
+
+        If the window contains no tick, the last tick is before the first.
+        """
         first, last = self.begin.value / period_s - TIME_EPS, self.end.value / period_s + TIME_EPS
         return math.ceil(first), math.floor(last)
 
     def phrase(self, from_now: str) -> str:
-        """Return ``from_now`` followed by the end if the window begins now, else both of its times."""
+        """Return the window as text.
+
+        If the window begins now, the text is ``from_now`` and the end. Any other window is written with both
+        times.
+        """
         if self.begin.value == 0.0:
             return f"{from_now} {self.end}"
         return f"from {self.begin} to {self.end}"
 
 
 def span_of(window: Window) -> Span | None:
-    """Return the window from now to 2 s for ``s(2)``, or the window between both for ``(s(0.1), s(0.5))``."""
+    """Return ``window`` as a span.
+
+    For example, ``s(2)`` becomes the span from now to 2 s; a pair contains the begin and the end of a span.
+    """
     if window is None:
         return None
     begin, end = window if isinstance(window, tuple) else (NOW, window)

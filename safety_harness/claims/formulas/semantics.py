@@ -1,17 +1,19 @@
-"""Compute the margin of a formula at every tick, as an interval, so that no unknown value is guessed.
+"""Compute the margin of a formula at every tick as an interval, because some values may be unknown.
 
 ``witness`` finds the tick and the comparison or truth from which a margin results.
 
 The margin of a comparison is the signal's distance from the limit, and the margin of a truth is +-inf. "not"
-changes the sign. "and" and "always" take the least margin, "or" and "eventually" the largest. "until" takes,
-for each tick j of its window, the least margin of its second part at j and of its first part before j. The
-largest of these counts. Windows are counted in control ticks and include both ends. A value exactly at its
-limit has the margin ``LEAST``, the smallest normal number, for <= and >=, and -``LEAST`` for < and >. So no
-margin is 0, and a formula and its negation never both hold.
+changes the sign. "and" and "always" take the least margin, and "or" and "eventually" take the largest margin.
+For "until", the result is computed for each tick j of its window: it is the least of the second part's margin
+at j and the margins of the first part before j. The largest of these values is the margin. Windows are
+counted in control ticks and include both ends. A value exactly at its limit has the margin ``LEAST``, the
+smallest normal number, if the relation is <= or >=. For < and >, its margin is -``LEAST``. So no margin is 0,
+and a formula and its negation never both hold.
 
-Each margin is an interval from ``low`` to ``high``. A NaN, a tick that the run did not reach, and a window
-beyond the last tick make it [-inf, inf]. Every operator combines the bounds of its parts. (See Deshmukh et
-al., Robust online monitoring of signal temporal logic, 2017.) Operators without a window end with the run.
+Each margin is an interval from ``low`` to ``high``. The interval is [-inf, inf] for a NaN, for a tick that
+the run did not reach, and for a window that ends after the last tick. Every operator computes its bounds from
+the bounds of its parts. (See Deshmukh et al., Robust online monitoring of signal temporal logic, 2017.) The
+scope of an operator without a window ends with the run.
 """
 
 from __future__ import annotations
@@ -42,8 +44,9 @@ from safety_harness.claims.formulas.quantities import Span
 LEAST = float(np.finfo(np.float64).tiny)
 OF_A_TICK = (Comparison, Truth, Not, And, Or)
 OPERATORS = (Comparison, Truth, Not, And, Or, Always, Eventually, Until, Globally)
+# Indices in OPERATORS, since compiled code takes no classes.
 NOT, AND, OR, ALWAYS, EVENTUALLY, UNTIL, GLOBALLY = range(2, 9)
-NO_WINDOW = (-1, -1)
+NO_WINDOW = (-1, -1)  # a negative begin: the operator's scope ends with the run
 
 Values = NDArray[np.float64]
 Atoms = Callable[[Comparison | Truth], "MarginBounds"]
@@ -51,7 +54,10 @@ Atoms = Callable[[Comparison | Truth], "MarginBounds"]
 
 @dataclass(frozen=True, eq=False)
 class MarginBounds:
-    """Bounds ``low`` and ``high`` (n,) of margins, never NaN; they are one array if all margins are known."""
+    """Lower bounds ``low`` (n,) and upper bounds ``high`` (n,) of margins, which are never NaN.
+
+    If all margins are known, both fields are the same array.
+    """
 
     low: Values
     high: Values
@@ -63,7 +69,7 @@ class MarginBounds:
 
 @dataclass(frozen=True, eq=False)
 class Margins:
-    """A formula with the bounds of its margins at every tick, and with the margins of its parts."""
+    """A formula with the bounds of its margin at every tick, and with the margins of its parts."""
 
     formula: Formula
     bounds: MarginBounds
@@ -72,23 +78,29 @@ class Margins:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A case that is possible at the ticks ``where`` (n,), with the margins ``atoms`` in that case."""
+    """A case that is possible at the ticks ``where`` (n,).
+
+    ``atoms`` returns the margins of the comparisons and truths in this case.
+    """
 
     where: NDArray[np.bool_]
     atoms: Atoms
 
 
 def margins(formula: Formula, atoms: Atoms, period_s: float, cases: Sequence[Case] = ()) -> Margins:
-    """Return the margins of ``formula`` at every tick, from those of its comparisons and truths (``atoms``).
+    """Return the margins of ``formula`` at every tick.
 
-    At a tick to which ``cases`` apply, one of them was true. There, an "and" or "or" of comparisons and
-    truths has a margin between the least and the largest of all cases, even if each part alone is unknown.
+    They are computed from the margins of its comparisons and truths, which ``atoms`` returns. If several of
+    the ``cases`` apply to a tick, exactly one of them was true at that tick. At such a tick, the margin of an
+    "and" or "or" of comparisons and truths lies between the least and the largest margin over these cases.
+    This bound is useful even if the margin of each single part is unknown.
     """
     if isinstance(formula, Comparison | Truth):
         return Margins(formula, atoms(formula))
     parts = tuple(margins(part, atoms, period_s, cases) for part in formula.parts)
     bounds = _joined(formula, [part.bounds for part in parts], period_s)
     if (
+        # A case holds at a single tick, so it limits only formulas without temporal operators.
         cases
         and isinstance(formula, And | Or)
         and all(isinstance(node, OF_A_TICK) for node in formula.nodes())
@@ -102,10 +114,11 @@ def margins(formula: Formula, atoms: Atoms, period_s: float, cases: Sequence[Cas
 def ticks_asked(
     margins: Margins, period_s: float, begin: NDArray[np.bool_] | None = None
 ) -> list[tuple[Comparison | Truth, NDArray[np.bool_]]]:
-    """Return each comparison and truth with the ticks (n,) that matter for the formula at the first tick.
+    """Return each comparison and truth, together with a mask of ticks (n,).
 
-    An operator that matters at the ticks ``begin`` (n,) makes its parts matter at the ticks of its windows
-    from there.
+    The mask contains the ticks at which the comparison or truth affects the value of the formula at the first
+    tick. If an operator is evaluated at the ticks ``begin`` (n,), its parts are evaluated at all ticks of the
+    windows that begin there.
     """
     formula, n = margins.formula, len(margins.bounds.low)
     begins = np.arange(n) == 0 if begin is None else begin
@@ -123,7 +136,8 @@ def ticks_asked(
 
 
 def _windows(begin: NDArray[np.bool_], first: int, last: int) -> NDArray[np.bool_]:
-    """Return (n,) whether each tick is ``first`` to ``last`` ticks after any tick of ``begin`` (n,)."""
+    """Return a mask (n,) of the ticks that are ``first`` to ``last`` ticks after a tick of ``begin`` (n,)."""
+    # Prefix sums: a window contains a tick of ``begin`` if the sums at its two ends differ.
     counts = np.append(0, np.cumsum(begin))
     ticks = np.arange(len(begin))
     any_in_window: NDArray[np.bool_] = (
@@ -151,18 +165,25 @@ def _joined(formula: Formula, parts: list[MarginBounds], period_s: float) -> Mar
 
 
 def where_triggered(trigger: MarginBounds, response: MarginBounds) -> MarginBounds:
-    """Return the response's margin if the trigger holds, inf if not, and bounds of both if it is unknown."""
+    """Return the response's margin if the trigger holds, and inf if the trigger does not hold.
+
+    If the trigger is unknown, the bounds cover both possibilities.
+    """
     return MarginBounds(*_bounds_where_triggered(trigger.low, trigger.high, response.low, response.high))
 
 
 def comparison_bounds(comparison: Comparison, low: Values, high: Values) -> MarginBounds:
-    """Return the margins of a comparison of a signal between ``low`` and ``high`` (n,), NaN if unknown."""
+    """Return the margins of a comparison whose signal lies between ``low`` (n,) and ``high`` (n,).
+
+    NaN marks an unknown value.
+    """
     limit, relation = comparison.limit.value, comparison.relation
     above = relation in (Relation.ABOVE, Relation.AT_LEAST)
     least = low - limit if above else limit - high
     most = least if low is high else high - limit if above else limit - low
     at_limit = -LEAST if relation in (Relation.ABOVE, Relation.BELOW) else LEAST
     for margin in (least, most):
+        # A margin of 0 would be its own negation, so the relation decides its sign.
         margin[margin == 0.0] = at_limit
     unknown = np.isnan(least) | np.isnan(most)
     if not unknown.any():
@@ -171,7 +192,10 @@ def comparison_bounds(comparison: Comparison, low: Values, high: Values) -> Marg
 
 
 def truth_bounds(value: Values) -> MarginBounds:
-    """Return the margins of a truth with the ``value`` (n,) 1.0, 0.0, or NaN if it is unknown."""
+    """Return the margins of a truth.
+
+    ``value`` (n,) is 1.0 for true, 0.0 for false, and NaN for unknown.
+    """
     margin = np.where(value > 0.5, np.inf, -np.inf)
     unknown = np.isnan(value)
     return MarginBounds(margin, np.where(unknown, np.inf, margin) if unknown.any() else margin)
@@ -179,7 +203,7 @@ def truth_bounds(value: Values) -> MarginBounds:
 
 @compiled
 def least_from_here(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return out[k] = min of x[k:] of ``x`` (n,)."""
+    """Return an array out with out[k] = min(x[k:]) for ``x`` of shape (n,)."""
     out = np.empty(x.shape[0])
     least = np.inf
     for k in range(x.shape[0] - 1, -1, -1):
@@ -190,11 +214,11 @@ def least_from_here(x: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @compiled
 def least_in_window(x: NDArray[np.float64], begin: int, end: int, outside: float) -> NDArray[np.float64]:
-    """Return out[k] = min of x[k + begin] to x[k + end], ends included, with ``outside`` outside of x.
+    """Return an array out with out[k] = min(x[k + begin : k + end + 1]).
 
-    Here 0 <= begin <= end. A window of w samples spans at most two blocks of w samples. Its least value lies
-    between its beginning and the end of the first block, or between the beginning of the second block and its
-    end (van Herk, 1992).
+    ``outside`` is the value of x after its last sample. Here 0 <= begin <= end. A window of w samples spans
+    at most two blocks of w samples. The window has one section in each of these blocks, and the least value
+    of the window is the lesser of the two sections' least values (van Herk, 1992).
 
     ``x`` (n,).
     """
@@ -224,7 +248,7 @@ def least_in_window(x: NDArray[np.float64], begin: int, end: int, outside: float
 def until_from_here(
     lasts: NDArray[np.float64], ends: NDArray[np.float64], outside: float
 ) -> NDArray[np.float64]:
-    """Return out[k] = max over j >= k of min(ends[j], min of lasts[k:j]).
+    """Return an array out with out[k] = max over j >= k of min(ends[j], min(lasts[k:j])).
 
     ``lasts`` and ``ends`` are (n,); ``outside`` is the result after the last sample.
     """
@@ -232,6 +256,8 @@ def until_from_here(
     out = np.empty(n)
     later = outside
     for k in range(n - 1, -1, -1):
+        # Either the second part holds here, or the first part holds here and the "until" holds at the next
+        # tick.
         later = max(ends[k], min(lasts[k], later))
         out[k] = later
     return out
@@ -241,7 +267,7 @@ def until_from_here(
 def _bounds_where_triggered(
     trigger_low: Values, trigger_high: Values, low: Values, high: Values
 ) -> tuple[Values, Values]:
-    """Return both bounds (n,) of ``where_triggered``.
+    """Return the lower and the upper bounds (n,) of the result of ``where_triggered``.
 
     ``trigger_low``, ``trigger_high``, ``low`` and ``high`` are of shape (n,).
     """
@@ -256,18 +282,22 @@ def _bounds_where_triggered(
 
 @compiled
 def _until(lasts: Values, ends: Values, begin: int, end: int, outside: float) -> Values:
-    """Return one bound (n,) of an "until": the second part holds in the window, and the first until then.
+    """Return one bound of the margin of an "until" at each tick, shape (n,).
 
-    ``lasts`` and ``ends`` (n,) are the bounds of the first and the second part. ``outside`` is the bound
-    after the last sample. Source: Donze, Ferrere and Maler, Efficient robust monitoring for STL, 2013.
+    The second part must hold in the window, and the first part must hold until then. ``lasts`` (n,) and
+    ``ends`` (n,) are the bounds of the first and the second part. ``outside`` is the bound after the last
+    sample. Source: Donze, Ferrere and Maler, Efficient robust monitoring for STL, 2013.
     """
     if begin < 0:
         return until_from_here(lasts, ends, -np.inf)
     lasting = until_from_here(lasts, ends, outside)
+    # In a window that begins later, the first part must also hold before the window.
     if begin > 0:
         shifted = np.full(len(lasts), outside)
         shifted[: max(len(lasts) - begin, 0)] = lasting[begin:]
         lasting = np.minimum(shifted, least_in_window(lasts, 0, begin - 1, outside))
+    # The least of three margins: the second part holds in the window, the first part holds before the window,
+    # and an "until" without an end holds from the window's begin.
     return np.minimum(-least_in_window(-ends, begin, end, -outside), lasting)
 
 
@@ -275,18 +305,20 @@ def _until(lasts: Values, ends: Values, begin: int, end: int, outside: float) ->
 def operate(
     operator: int, begin: int, end: int, low: Values, high: Values, other_low: Values, other_high: Values
 ) -> tuple[Values, Values]:
-    """Return the margins (n,) of an operator from those of its first part and, if it has one, its second.
+    """Return the lower and the upper bounds of an operator's margin, each of shape (n,).
 
-    ``low``, ``high``, ``other_low`` and ``other_high`` are of shape (n,).
+    The bounds are computed from the bounds of the operator's one or two parts. ``low``, ``high``,
+    ``other_low`` and ``other_high`` are of shape (n,).
 
     Args:
         operator: The operator's place in ``OPERATORS``.
-        begin: The first tick of its window, counted from now; negative without a window.
-        end: The last tick of its window.
-        low: The least margins of the first part.
-        high: Its largest margins.
-        other_low: The least margins of the second part.
-        other_high: Its largest margins.
+        begin: The first tick of the operator's window, relative to now; a negative number means that the
+            operator has no window.
+        end: The last tick of the operator's window.
+        low: The lower bounds of the first part's margin.
+        high: The upper bounds of the first part's margin.
+        other_low: The lower bounds of the second part's margin.
+        other_high: The upper bounds of the second part's margin.
 
     """
     if operator == NOT:
@@ -310,16 +342,21 @@ def operate(
 
 @dataclass(frozen=True)
 class Witness:
-    """The tick, from 0, and the comparison or truth that decide a margin; ``atom`` is None after the run."""
+    """The tick that decides a margin, and the comparison or truth that decides it.
+
+    Ticks are counted from 0; ``atom`` is None if the deciding tick is after the run.
+    """
 
     tick: int
     atom: Comparison | Truth | None
 
 
 def witness(margins: Margins, tick: int, period_s: float, *, low: bool) -> Witness:
-    """Return the witness of the margin's lower bound at ``tick`` if ``low``, else of its upper bound.
+    """Return the witness of a margin at ``tick``.
 
-    If several places have this margin, the first uncertain place is returned, or else the first.
+    If ``low`` is true, it is the witness of the margin's lower bound, and otherwise that of its upper bound.
+    If several comparisons or ticks have this margin, the function prefers those whose value is uncertain, and
+    returns the first.
     """
     formula, parts = margins.formula, margins.parts
     match formula:
@@ -352,7 +389,11 @@ def _side(bounds: MarginBounds, *, low: bool) -> NDArray[np.float64]:
 
 
 def _extreme(values: NDArray[np.float64], doubtful: NDArray[np.bool_], *, least: bool) -> int:
-    """Return the place of the least or largest value; of equal values, first a ``doubtful`` one."""
+    """Return the index of the least or the largest value.
+
+    If several values are equal, the index is that of the first ``doubtful`` value or, without a doubtful
+    value, of the first value.
+    """
     at = np.flatnonzero(values == (values.min() if least else values.max()))
     unsure = at[doubtful[at]]
     return int(unsure[0] if len(unsure) else at[0])
@@ -367,7 +408,7 @@ def _first(parts: list[MarginBounds], tick: int, *, low: bool, least: bool) -> i
 def _in_window(
     body: MarginBounds, tick: int, span: Span | None, period_s: float, *, low: bool, least: bool
 ) -> int | None:
-    """Return the tick that decides, or None if what comes after the last tick decides."""
+    """Return the tick that decides, or None if the time after the last tick decides."""
     values, n = _side(body, low=low), len(body.low)
     begin, end = (tick, n - 1) if span is None else (tick + t for t in span.ticks(period_s))
     window = slice(begin, min(end, n - 1) + 1)
@@ -380,7 +421,11 @@ def _in_window(
 
 
 def _of_until(margins: Margins, tick: int, span: Span | None, period_s: float, *, low: bool) -> Witness:
-    """Return the witness of an "until": the best tick for its second part, and the worst part up to there."""
+    """Return the witness of an "until".
+
+    The second part is taken at the tick that is best for the "until". If the first part has a smaller margin
+    at an earlier tick, the witness is there.
+    """
     first, second = margins.parts
     n = len(margins.bounds.low) - tick
     begin, end = (0, n - 1) if span is None else span.ticks(period_s)
@@ -399,7 +444,10 @@ def _of_until(margins: Margins, tick: int, span: Span | None, period_s: float, *
 
 
 def _bounds_from(bounds: MarginBounds, tick: int, later: int) -> MarginBounds:
-    """Return ``bounds`` from ``tick`` on, followed by ``later`` unknown ticks."""
+    """Return ``bounds`` from ``tick`` on.
+
+    Infinite bounds for ``later`` further ticks are appended.
+    """
     return MarginBounds(
         np.append(bounds.low[tick:], np.full(later, -np.inf)),
         np.append(bounds.high[tick:], np.full(later, np.inf)),

@@ -84,12 +84,18 @@ def _listed(signal: Listed) -> Listed:
 
 
 def in_force(trace: Trace) -> NDArray[np.int64]:
-    """Return (n,) the number of the latest decision at each tick, or -1 before the first decision."""
+    """Return the number of the latest decision at each tick, shape (n,).
+
+    The number is -1 before the first decision.
+    """
     return np.maximum.accumulate(trace.ticks["decision"])
 
 
 def out_of_knowledge(trace: Trace, signal: Signal) -> NDArray[np.bool_]:
-    """Return (n,) whether a ``signal`` of the latest decision is unknown, from a gap to the next decision."""
+    """Return a mask of the ticks at which a ``signal`` of the latest decision is unknown, shape (n,).
+
+    After a gap, the signal is unknown until the next decision.
+    """
     gone = lost(trace, signal.reads)
     if gone.any():
         ticks, made = np.arange(len(gone)), trace.ticks["decision"] >= 0
@@ -101,7 +107,8 @@ def out_of_knowledge(trace: Trace, signal: Signal) -> NDArray[np.bool_]:
 def in_mode(mode: Mode) -> Sample:
     """Return a function that samples whether the controller is in ``mode``.
 
-    In a gap with several possible modes, it certainly is not in ``mode`` if that is none of them.
+    If a gap lists the possible modes and ``mode`` is not in the list, the controller certainly is not in
+    ``mode``.
     """
 
     def sample(trace: Trace) -> Sampled:
@@ -118,7 +125,7 @@ def in_mode(mode: Mode) -> Sample:
 
 
 def truth(true: NDArray[np.bool_] | np.bool_) -> Sampled:
-    """Return a sampled signal whose truth ``true`` (n,) is kept until the next tick."""
+    """Return a sampled signal whose truth value ``true`` (n,) lasts until the next tick."""
     return at_ticks(np.asarray(true, np.float64))
 
 
@@ -142,10 +149,10 @@ def truth(true: NDArray[np.bool_] | np.bool_) -> Sampled:
 )
 @lru_cache(maxsize=4)
 def hand_distance(trace: Trace) -> Sampled:
-    """Sample the distance of any hand or forearm from any link, surface to surface.
+    """Sample the distance from any hand or forearm to any link, from surface to surface.
 
-    Its bounds are those of the catalogue's claim. A run exercises it when a hand comes near the arm's
-    surface.
+    Its bounds are computed like those of the catalogue's claim on the hand distance. A run exercises this
+    signal when a hand comes near the arm's surface.
     """
     return _from_hands(trace)
 
@@ -160,15 +167,17 @@ def hand_distance(trace: Trace) -> Sampled:
 )
 @lru_cache(maxsize=4)
 def nearest_hand_to_tcp(trace: Trace) -> Sampled:
-    """Sample the distance from the TCP to the nearest hand's centre, with bounds like the hand distance."""
+    """Sample the distance from the TCP to the nearest hand's centre, with bounds as for hand distance."""
     return _from_hands(trace, from_tcp=True)
 
 
 def _from_hands(trace: Trace, *, from_tcp: bool = False, finely: bool = False) -> Sampled:
-    """Sample the distance of the nearest hand, with ``finely`` by hands that are followed in parts of a tick.
+    """Sample the distance of the nearest hand.
 
-    Between two ticks, its least value lies between the two bounds of ``ends_between``. Its upper bound
-    follows from both ticks and the ways of arm and hand.
+    If ``finely`` is True, each tick is divided into parts and the hands are followed from part to part, which
+    gives closer bounds. Between two ticks, the least distance lies between the two bounds of
+    ``ends_between``. The upper bound follows from the distances at both ticks, and from how far arm and hand
+    move between the ticks.
     """
     paths, why = followed_hands(trace)
     if paths is None:
@@ -227,7 +236,7 @@ def tcp_height(trace: Trace) -> Sampled:
     off=of_place,
 )
 def distance_to_desired_pose(trace: Trace) -> Sampled:
-    """Sample the distance of the TCP from the pose at which servoing aims."""
+    """Sample the distance from the TCP to the pose at which servoing aims."""
     return bounded(pose_errors(trace)[0], tcp_way_m(trace))
 
 
@@ -238,7 +247,7 @@ def distance_to_desired_pose(trace: Trace) -> Sampled:
     reads=[TCP, "joint_position_rad", "joint_velocity_radps"],
 )
 def angle_to_desired_pose(trace: Trace) -> Sampled:
-    """Sample the TCP's angle from the desired pose; infinite for a transform that is not a pose."""
+    """Sample the TCP's angle from the desired pose, which is infinite if a transform is not a pose."""
     none = np.abs(trace.ticks["transform_tcp_to_base"][:, :3, :3]).max(axis=(1, 2)) > 1.0 + TOLERANCE
     return bounded(np.where(none, np.inf, pose_errors(trace)[1]), turned_rad(trace))
 
@@ -262,7 +271,10 @@ joint_speed = measure(
     off=by_uncertainty_of("sse"),
 )
 def image_error(trace: Trace) -> Sampled:
-    """Sample eq. 15 as the controller computes it; unknown while the camera does not see the object."""
+    """Sample the error of eq. 15 that the controller computes.
+
+    The value is unknown while the camera does not see the object.
+    """
     sse = trace.ticks["sse"]
     if not np.any(np.isfinite(sse)):
         return absent(trace, "the object is never seen")
@@ -278,7 +290,7 @@ def image_error(trace: Trace) -> Sampled:
     off=by_uncertainty_of("decision.proposed_spread_m"),
 )
 def spread(trace: Trace) -> Sampled:
-    """Sample the largest spread of the three axes, which the gate compares."""
+    """Sample the largest spread of the three axes, which the gate compares with its threshold."""
     if len(trace.decisions) == 0:
         return _untried(trace, no_decision, "nothing was decided")
     spread_m = trace.decisions["proposed_spread_m"].max(axis=1)
@@ -298,9 +310,9 @@ def spread(trace: Trace) -> Sampled:
     off=by_uncertainty_of("predicted_distance_m"),
 )
 def predicted_hand_distance(trace: Trace) -> Sampled:
-    """Sample the distance from the TCP to the nearest predicted hand; inf without a predicted hand.
+    """Sample the distance from the TCP to the nearest predicted hand, which is inf if no hand is predicted.
 
-    A run exercises it when a predicted hand comes near.
+    A run exercises this signal when a predicted hand comes near.
     """
     distance_m = trace.ticks["predicted_distance_m"]
     if not np.any(np.isfinite(distance_m)):
@@ -318,9 +330,10 @@ def predicted_hand_distance(trace: Trace) -> Sampled:
     off=by_uncertainty_of("predicted_hand_in_base_m", HANDS),
 )
 def prediction_error(trace: Trace) -> Sampled:
-    """Sample the error that ``HandPredictions`` judges, at the tick of the prediction.
+    """Sample the prediction error that ``HandPredictions`` judges.
 
-    It is unknown if the predicted time lies after the run.
+    The value at a tick is the error of the prediction that was made at this tick. The error is unknown if the
+    predicted time lies after the run.
     """
     valid, hands = trace.ticks["track_valid"], len(trace.scenario.hands)
     if hands == 0 or not valid.any():
@@ -340,7 +353,7 @@ def prediction_error(trace: Trace) -> Sampled:
 def elapsed_time(trace: Trace) -> Sampled:
     """Sample the time since the run began.
 
-    Its values are the floats nearest to whole control periods, so that limits are met exactly.
+    The values are the floats nearest to whole control periods, so that limits are met exactly.
     """
     period = Fraction(repr(trace.scenario.settings.clock.control_period_s))  # as it is written, in decimals
     ticks: NDArray[np.float64] = np.arange(len(trace.ticks), dtype=np.float64)
@@ -375,7 +388,7 @@ deciding = flag("deciding", "a decision is made at this tick", reads=["decision"
     reads=["mode", "decision", "decision.outcome"],
 )
 def falling_back(trace: Trace) -> Sampled:
-    """Sample whether the arm retreats to the opposite pose or stops by its latest decision."""
+    """Sample whether the arm retreats to the opposite pose or stops because of its latest decision."""
     if len(trace.decisions) == 0:
         return _untried(trace, no_decision, "nothing was decided")
     number, gone = in_force(trace), out_of_knowledge(trace, falling_back)
@@ -391,14 +404,18 @@ hand_tracked = flag("hand tracked", "the controller predicts a hand at least", r
 
 @flag("fault acting", "one of the scenario's faults acts", reads=["faults"])
 def fault_acting(trace: Trace) -> Sampled:
-    """Sample whether at least one fault of the scenario acts."""
+    """Sample whether at least one fault of the scenario is active."""
     if not trace.scenario.faults:
         return absent(trace, "there is no fault in this scenario")
     return truth(trace.ticks["faults"] != 0)
 
 
 def _untried(trace: Trace, lacked: Callable[[Trace], str], reason: str) -> Sampled:
-    """Return an absent signal, because of ``lacked`` if the trace is wholly known, else of ``reason``."""
+    """Return a signal that the run does not have.
+
+    If the trace is completely known, the function ``lacked`` returns the reason; otherwise ``reason`` is
+    used.
+    """
     return absent(trace, f"never exercised: {lacked(trace) if trace.known.whole else reason}")
 
 
@@ -410,7 +427,10 @@ def _nearest(
     high: NDArray[np.float64],
     target: str,
 ) -> Sampled:
-    """Return the signal of the nearest measured hand, from (n, hands) distances and their bounds."""
+    """Return the signal of the nearest measured hand.
+
+    The arguments ``value``, ``low`` and ``high`` are distances and their bounds, each of shape (n, hands).
+    """
     gone = None
     if gaps_of(trace, signal.reads):
         gone = lost(trace, signal.reads)
@@ -425,6 +445,9 @@ def _nearest(
 
 
 def _coming_near(distance: Sampled, body: str, target: str) -> Sampled:
-    """Return the signal of ``body``'s distance from ``target``, exercised each time it falls below NEAR_M."""
+    """Return the signal ``distance``, described as the distance from ``body`` to ``target``.
+
+    A run exercises this signal each time that the distance falls below NEAR_M.
+    """
     margin_m = NEAR_M - distance.value
     return replace(distance, tried=(margin_m, margin_m), comes=(body, target))

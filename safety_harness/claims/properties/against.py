@@ -1,6 +1,6 @@
 """Compare two avoiders on the same draws: the avoider under test and the reference.
 
-Scenario, seed and all else are the same for both, so the avoiders cause every difference.
+Both avoiders get the same scenario and the same seed, so every difference in the results comes from them.
 """
 
 from __future__ import annotations
@@ -39,9 +39,10 @@ TOLERANCES = {unit: TOLERANCE * scale for unit, scale in SCALES.items()} | {Unit
 
 
 def tolerance(*both: Evaluation) -> float:
-    """Return the largest loss of margin [SI] that is not reported; for a share, at least one occasion.
+    """Return the largest loss of margin [SI] that is not reported.
 
-    It is 0 for a count, which is exact, and whose best margin may be 0, as for questions without an answer.
+    For a percentage, the result is at least the percentage that one occasion contributes. For a count, the
+    result is 0, because a count is exact, and its best margin may be 0, for example if no answer is missing.
     """
     unit, exercised = both[0].unit, min(evaluation.exercised for evaluation in both)
     whole = 1.0 / max(exercised, 1) if unit is Unit.FRACTION else 0.0
@@ -64,20 +65,23 @@ _SHOWN_CHANGES = (VerdictChange.NEW, VerdictChange.DEEPER, VerdictChange.SILENT,
 
 @dataclass(frozen=True, kw_only=True)
 class ClaimDifference:
-    """The evaluations of a claim in a run with each of the two avoiders."""
+    """A claim's evaluations in two runs: with the avoider under test, and with the reference."""
 
     mine: Evaluation
     reference: Evaluation
 
     @property
     def lost(self) -> float:
-        """Return by how much the reference's margin exceeds the other's [SI]; NaN if either is missing."""
+        """Return the reference's margin minus the other margin [SI], or NaN if a margin is missing."""
         a, b = self.reference.margin, self.mine.margin
         return a - b if a is not None and b is not None else float("nan")
 
     @property
     def change(self) -> VerdictChange:
-        """Return the change; a violation is also new if the reference has no verdict."""
+        """Return the change from the reference to the avoider under test.
+
+        A violation is new if the reference does not violate the claim.
+        """
         mine, reference = self.mine.verdict, self.reference.verdict
         less = self.lost > tolerance(self.mine, self.reference)
         if mine is Verdict.VIOLATED:
@@ -92,7 +96,10 @@ class ClaimDifference:
         return VerdictChange.LOST if less and reference is Verdict.HOLDS else VerdictChange.NONE
 
     def summary(self, reference: str) -> str:
-        """Return the margins of both in words, or the verdict if there is no margin."""
+        """Return a text with both margins.
+
+        If a margin is missing, the text has the verdict instead.
+        """
         mine, theirs = (
             evaluation.verdict.value if evaluation.margin is None else evaluation.margin_text()
             for evaluation in (self.mine, self.reference)
@@ -102,7 +109,7 @@ class ClaimDifference:
 
 @dataclass(frozen=True, kw_only=True)
 class RunDifference:
-    """The results of a scenario with one seed, run with each of the two avoiders."""
+    """The results of two runs with the same scenario and seed, one run with each of the two avoiders."""
 
     run: str
     claims: tuple[ClaimDifference, ...]
@@ -113,9 +120,11 @@ class RunDifference:
     def from_traces(
         cls, mine: Trace, reference: Trace, judged: Iterable[tuple[Evaluation, Evaluation]]
     ) -> RunDifference:
-        """Return the difference of two traces, with the pairs of evaluations in ``judged``.
+        """Return the difference between two traces.
 
-        Unless the scenario claims it, the claim "the avoider answered" of two avoiders is judged too.
+        ``judged`` contains pairs of evaluations, and each pair is about one claim. The claim "the avoider
+        answered" is judged too if the traces have different avoiders and the scenario does not contain this
+        claim.
         """
         pairs = list(judged)
         same_avoider = mine.scenario.safety_filter != reference.scenario.safety_filter
@@ -130,11 +139,14 @@ class RunDifference:
         )
 
     def has(self, *changes: VerdictChange) -> bool:
-        """Return whether any claim of the run has one of ``changes``."""
+        """Return whether the change of any claim of the run is in ``changes``."""
         return any(claim.change in changes for claim in self.claims)
 
     def lines(self, reference: str) -> Iterator[str]:
-        """Yield a line on each claim, and on overruling, if the avoider is worse than ``reference``."""
+        """Yield a line for each claim with a worse result than for ``reference``.
+
+        A further line follows if more proposals were overruled.
+        """
         for claim in self.claims:
             if claim.change in _SHOWN_CHANGES:
                 yield f"{claim.change.value}: {self.run}: {claim.mine.sentence}: {claim.summary(reference)}"
@@ -146,7 +158,10 @@ class RunDifference:
 
     @property
     def more_refused(self) -> float:
-        """Return how many more checks fail per proposal than with the reference, spread aside."""
+        """Return the number of failed checks per proposal, minus this number for the reference.
+
+        The check of the spread is ignored.
+        """
         mine, reference = (
             sum(count for check, count in side.reasons.items() if check is not Check.UNCERTAIN)
             / max(side.proposals, 1)
@@ -156,16 +171,20 @@ class RunDifference:
 
     @property
     def more_overruled(self) -> float:
-        """Return by how much the share of overruled proposals rises; 0 if an avoider proposed nothing."""
+        """Return the increase of the percentage of overruled proposals.
+
+        The result is 0 if an avoider made no proposal.
+        """
         more = self.mine.share - self.reference.share
         return more if isfinite(more) else 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Against:
-    """The comparison of the avoider named ``mine`` with ``reference`` in ``runs`` on the same draws.
+    """The comparison of the avoider ``mine`` with the avoider ``reference``.
 
-    Runs that a search chose are not ``drawn``, so no test is computed from them.
+    Both avoiders ran on the same draws, and ``runs`` contains the results. If a search chose the runs,
+    ``drawn`` is False, and no statistical test is computed.
     """
 
     mine: str
@@ -175,18 +194,25 @@ class Against:
 
     @property
     def worse(self) -> bool:
-        """Return whether any run has a new or deeper violation, or has lost its verdict."""
+        """Return whether any run has a new or deeper violation.
+
+        The result is also True if a verdict is no longer conclusive.
+        """
         return any(
             run.has(VerdictChange.NEW, VerdictChange.DEEPER, VerdictChange.SILENT) for run in self.runs
         )
 
     def count(self, change: VerdictChange) -> int:
-        """Return the number of runs in which any claim has ``change``."""
+        """Return the number of runs in which at least one claim has the change ``change``."""
         return sum(run.has(change) for run in self.runs)
 
     @property
     def sentence(self) -> str:
-        """Return a sentence on the violations in all pairs with two verdicts, and on their exact test."""
+        """Return a sentence on the violations of both avoiders, with the p-value if runs are ``drawn``.
+
+        The sentence compares the runs in which both avoiders have a verdict, and counts other new violations
+        separately.
+        """
         new = [self._certain(run, VerdictChange.NEW) for run in self.runs]
         gone = [self._certain(run, VerdictChange.GONE) for run in self.runs]
         both = sum(a and b for a, b in zip(new, gone, strict=True))
@@ -206,9 +232,10 @@ class Against:
 
     @property
     def overruling(self) -> str:
-        """Return a sentence on the overruled proposals of both, and on the runs that have more or fewer.
+        """Return a sentence on the overruled proposals.
 
-        It is empty without proposals.
+        It also states in how many runs more or fewer proposals are overruled than with the reference. The
+        text is empty if an avoider made no proposal.
         """
         mine, reference = (
             sum((getattr(run, name) for run in self.runs), Overruling()) for name in ("mine", "reference")
@@ -219,7 +246,7 @@ class Against:
         return text and text + (p_words(more, less) if self.drawn else "")
 
     def lines(self) -> Iterator[str]:
-        """Yield a line on the number of changes of each claim, then ``sentence`` and ``overruling``."""
+        """Yield a line with the number of changes for each claim, then ``sentence`` and ``overruling``."""
         sentences = dict.fromkeys(claim.mine.sentence for run in self.runs for claim in run.claims)
         for sentence in sentences:
             differences = [
@@ -243,7 +270,7 @@ class Against:
         yield from filter(None, (self.sentence, self.overruling))
 
     def as_json(self) -> dict[str, Any]:
-        """Return the comparison as JSON for programs; margins are in SI."""
+        """Return the comparison as JSON for programs, with margins in SI."""
         return {
             "mine": self.mine,
             "reference": self.reference,
@@ -272,11 +299,12 @@ def _as_json(difference: ClaimDifference) -> dict[str, Any]:
 
 
 def paired_words(mine: str, reference: str, new: int, gone: int, runs: int, *, both: int = 0) -> str:
-    """Return a sentence on the number of ``runs`` in which only one avoider violates a claim.
+    """Return a sentence that states, for each avoider, the number of runs that only this avoider violates.
 
-    ``p_words`` follows the sentence.
+    ``runs`` is the number of all runs. The result of ``p_words`` may follow the sentence.
 
-    A run in which each violates a claim that the other keeps (``both``) counts for neither.
+    Some runs have violations by both avoiders, but of different claims; such a run is counted only in
+    ``both``.
     """
     as_well = f"; in {both} each violates one that the other keeps" if both else ""
     return (
@@ -288,7 +316,10 @@ def paired_words(mine: str, reference: str, new: int, gone: int, runs: int, *, b
 def overruling_words(
     mine: tuple[str, Overruling], reference: tuple[str, Overruling], more: int, less: int
 ) -> str:
-    """Return a sentence on both avoiders' overruled proposals, before ``p_words``; empty without any."""
+    """Return a sentence on the overruled proposals of both avoiders.
+
+    The text is empty if an avoider made no proposal. The result of ``p_words`` may follow the text.
+    """
     if not (mine[1].proposals and reference[1].proposals):
         return ""
     shares = ", ".join(
@@ -299,6 +330,9 @@ def overruling_words(
 
 
 def p_words(more: int, fewer: int) -> str:
-    """Return words on McNemar's exact test of "either is equally likely", in which ties do not count."""
+    """Return a text with the p-value of McNemar's exact test.
+
+    The null hypothesis is that both directions are equally likely. Runs without a difference are ignored.
+    """
     p = sign_test(more, fewer)
     return " (p < 0.001)" if p < 0.001 else f" (p = {p:.2g})"

@@ -1,6 +1,7 @@
-"""Judge that the avoider itself answers, and in time; otherwise the fallback acts in its place.
+"""Check that the avoider itself answers in time, because the fallback acts in place of a missing answer.
 
-"the avoider answered" is the only claim that is judged in every run, even if its scenario does not make it.
+The claim "the avoider answered" is judged in every run, even if the scenario does not contain it; no other
+claim is judged in this way.
 """
 
 from __future__ import annotations
@@ -31,11 +32,11 @@ NOT_MODELLED = "computing time not modelled"
 
 @dataclass(frozen=True, kw_only=True)
 class AvoiderAnswered:
-    """Minus the number of questions without a usable answer.
+    """The claim that the avoider gave a usable answer to each question.
 
-    An exception, an invalid proposal, a NaN, a late answer or an ended process counts as no answer. An answer
-    that the gate refuses still counts as an answer. A question does not count if a fault of the scenario kept
-    the avoider from answering.
+    The margin is minus the number of questions without a usable answer. An exception, an invalid proposal, a
+    NaN, a late answer or an ended process counts as no answer. An answer that the gate refuses still counts
+    as an answer. Questions are ignored if a fault of the scenario kept the avoider from answering.
     """
 
     unit: Unit = Unit.COUNT
@@ -70,7 +71,10 @@ class AvoiderAnswered:
 
 
 def unanswered(trace: Trace) -> NDArray[np.bool_]:
-    """Return (m,) the decisions without a usable answer that no fault of the scenario explains."""
+    """Return a mask of decisions, shape (m,).
+
+    It contains the decisions without a usable answer, unless a fault of the scenario suppressed the answer.
+    """
     decisions = trace.decisions
     if len(decisions) == 0:
         return np.zeros(0, np.bool_)
@@ -80,7 +84,7 @@ def unanswered(trace: Trace) -> NDArray[np.bool_]:
 
 
 def fault_of(trace: Trace) -> str:
-    """Return words on the avoider's first failure to answer; empty if it always answered.
+    """Return a message about the avoider's first failure to answer, or an empty text if it always answered.
 
     The text has no numbers, so that equal faults give equal texts.
     """
@@ -90,12 +94,15 @@ def fault_of(trace: Trace) -> str:
 
 
 def without_numbers(text: str) -> str:
-    """Return ``text`` without numbers, except those in names, line numbers of files and exit codes."""
+    """Remove the numbers from ``text``, except numbers in names, line numbers of files and exit codes."""
     return _NUMBER.sub("...", text)
 
 
 def fallback_words(unanswered: int, decisions: int) -> str:
-    """Return a headline on how often the avoider gave no usable answer; empty if it always answered."""
+    """Return a headline on how often the avoider gave no usable answer.
+
+    The text is empty if the avoider always answered.
+    """
     if not unanswered:
         return ""
     never = "did not answer" if unanswered == decisions else "did not always answer"
@@ -104,10 +111,10 @@ def fallback_words(unanswered: int, decisions: int) -> str:
 
 
 def _own(trace: Trace) -> NDArray[np.bool_]:
-    """Return (m,) the questions whose answer no fault of the scenario suppresses.
+    """Return a mask of the decisions whose answer no fault of the scenario suppressed, shape (m,).
 
-    The trace marks such a fault at the decision's tick. An answer that by itself takes longer than the
-    deadline is late, whatever fault acts.
+    The trace marks such a fault at the decision's tick. If the avoider itself exceeds the deadline, the
+    decision is included even while such a fault is active.
     """
     if not trace.scenario.faults:
         return np.ones(len(trace.decisions), np.bool_)
@@ -134,31 +141,39 @@ ANSWERED = CatalogueEntry(
     rationale="if the avoider does not answer, the fallback acts in its place, and every verdict is "
     "about the fallback. Every run is therefore judged by this claim. A scenario that does not contain it "
     "expects it to hold",
-    source="the seam of the avoider: one proposal of finite numbers for each question, in time",
-    margin="minus the number of questions without a usable answer (the avoider raised an exception, "
-    "returned NaN or something other than a proposal, answered too late, or its process ended); at 0 the "
-    "claim holds",
+    source="the avoider's interface: for each query, one proposal of finite numbers, in time",
+    margin=(
+        "minus the number of queries without a usable answer (the avoider raised an "
+        "exception, returned NaN or something other than a proposal, answered too late, or "
+        "its process ended). The claim holds if the margin is 0"
+    ),
     parameters="the decision deadline of the settings",
-    exercised="the controller asked the avoider while no fault of the scenario prevented an answer",
-    broken_by="an avoider that raises an exception at every question",
+    exercised="the controller queried the avoider while no fault of the scenario prevented an answer",
+    broken_by="an avoider that raises an exception at every query",
 )
 DEFAULT_CLAIM = Claim(sentence=ANSWERED.example, expected=Verdict.HOLDS)
 
 
 def is_claimed(claims: Iterable[Claim]) -> bool:
-    """Return whether ``claims`` include "the avoider answered"."""
+    """Return whether "the avoider answered" is among ``claims``."""
     return any(ANSWERED.understands(claim.sentence) for claim in claims)
 
 
 def with_expectation(claims: tuple[Claim, ...], scenario: Scenario) -> tuple[Claim, ...]:
-    """Return ``claims`` and, unless they include it, the scenario's own claim on answers."""
+    """Return ``claims``, completed by the claim on answers.
+
+    If these claims do not include a claim on answers, the scenario's own claim on answers is added.
+    """
     if is_claimed(claims):
         return claims
     return claims + tuple(claim for claim in scenario.claims if is_claimed([claim]))
 
 
 def by_default(trace: Trace) -> Evaluation | None:
-    """Return the evaluation of a run that lacks answers although the scenario expects them; else None."""
+    """Return the evaluation of "the avoider answered", or None if the run does not violate this claim.
+
+    The result is also None if the scenario expects a verdict other than *holds*.
+    """
     expected = (c.expected for c in trace.scenario.claims if ANSWERED.understands(c.sentence))
     if next(expected, Verdict.HOLDS) is not Verdict.HOLDS:
         return None
@@ -168,12 +183,14 @@ def by_default(trace: Trace) -> Evaluation | None:
 
 @dataclass(frozen=True, kw_only=True)
 class DecisionTime(Worded):
-    """The least over decisions of ``within_s`` less the time for which the arm moved without the answer.
+    """The claim that each answer comes within ``within_s`` of simulated time.
 
-    That time lasts until the tick at which the answer counts. It is the decision time of the settings or of
-    the avoider's declaration, plus a delay by a fault of the scenario. An answer that missed the deadline
-    counts as at least one control period later than the limit. If a decision takes no simulated time, it is
-    not evidence, and the claim cannot hold.
+    For each decision, the claim measures how long the arm moved without the answer, and subtracts this time
+    from ``within_s``. The margin is the least result. The time without the answer lasts until the tick at
+    which the controller uses the answer. It consists of the decision time, which the settings or the avoider
+    declare, and of any delay by a fault of the scenario. If an answer missed the deadline, its time is at
+    least one control period longer than the limit. The claim cannot hold if a decision takes no simulated
+    time, because such a decision is not evidence.
     """
 
     within_s: float
@@ -190,7 +207,7 @@ class DecisionTime(Worded):
         ]
     )
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge the time of each decision."""
+        """Judge the time that each decision took."""
         decisions, period_s = trace.decisions, trace.scenario.settings.clock.control_period_s
         if len(decisions) == 0:
             return unexercised(self, f"{no_decision(trace)} if the settings have a decision time")
@@ -218,10 +235,12 @@ DECISION_TIME_CLAIM = CatalogueEntry(
     rationale="the hand moves while the avoider computes. The avoider declares how long a decision "
     "takes, or a profile contains measured times. No run here shows whether the avoider keeps these times "
     "on the robot's own computer",
-    source="the reaction time T_r, in which all has to fit",
-    margin="the limit less the longest simulated time from a question to the tick at which the "
-    "controller uses the answer. If the controller gave up on an answer, the time is at least one control "
-    "period longer than the limit",
+    source="the reaction time T_r, which includes the decision",
+    margin=(
+        "the limit minus the longest simulated time from a query to the tick at which the "
+        "controller uses the answer. If the controller gave up on an answer, the time is at "
+        "least one control period longer than the limit"
+    ),
     parameters="the limit; the decision time and the decision deadline of the settings",
     exercised="the controller made a decision that takes simulated time",
     inconclusive="a decision that takes no simulated time, because its computing time is not modelled",

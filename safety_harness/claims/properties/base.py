@@ -1,10 +1,10 @@
-"""The interface of a property: a function that gives a Trace a signed margin and a verdict.
+"""The interface of a property, which judges a Trace and gives it a verdict and a signed margin.
 
-A margin is positive if the property holds, and negative if it is violated. It has a physical unit, and the
-package compares it unrounded. *Inconclusive* is the verdict on a trace that is not evidence either way. Such
-a trace is empty or truncated, contradicts itself, or never exercised the property. Or it has a NaN or an
-infinity in a column that the property reads. A violation before the end of a truncated trace is still a
-violation.
+A margin is positive if the property holds, and negative if it is violated. The margin has a physical unit,
+and the package compares it without rounding. *Inconclusive* is the verdict on a trace that is not evidence
+either way. Such a trace is empty or truncated, contradicts itself, or never exercised the property. A trace
+is also inconclusive if a column that the property reads has a NaN or an infinity. A violation before the end
+of a truncated trace is still a violation.
 """
 
 from __future__ import annotations
@@ -29,13 +29,14 @@ from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.records import ENDLESS, as_numbers, columns
 from safety_harness.trace.trace import Trace, once_a_trace
 
+# A choice: far beyond the reach of any arm.
 HORIZON_M = 1e3
 MAY_SATURATE = "between the ticks nothing is known, as motors may saturate"
 OF_HANDS = ("hand_position_in_base_m", "elbow_position_in_base_m", "hand_distance_m")
 
 
 class Unit(Enum):
-    """The unit in which a margin is shown: (symbol, factor from SI)."""
+    """The unit for displaying a margin: its symbol, and its factor from SI."""
 
     LENGTH = ("mm", 1e3)
     ANGLE = ("deg", 180.0 / np.pi)
@@ -49,7 +50,7 @@ class Unit(Enum):
 
     @property
     def symbol(self) -> str:
-        """Return the unit as people write it."""
+        """Return the symbol of the unit."""
         return self.value[0]
 
     @property
@@ -58,7 +59,7 @@ class Unit(Enum):
         return self.value[1]
 
     def margin_text(self, margin: float | None) -> str:
-        """Return ``margin`` (SI) with its sign in this unit; a dash for None or NaN."""
+        """Return ``margin`` (SI) as text with its sign and this unit; None and NaN become a dash."""
         if margin is None or np.isnan(margin):
             return "-"
         return shown_margin(margin * self.per_si, self.symbol)
@@ -78,12 +79,18 @@ SI_UNITS = {
 
 
 def shown_unit(margin: float, symbol: str) -> tuple[float, str]:
-    """Return ``margin`` and its unit as they are shown: times below one second in milliseconds."""
+    """Return ``margin`` and its unit for display.
+
+    Times below one second are in milliseconds.
+    """
     return (margin * 1e3, "ms") if symbol == "s" and abs(margin) < 1.0 else (margin, symbol)
 
 
 def shown_margin(margin: float, symbol: str) -> str:
-    """Return ``margin``, given in the unit ``symbol``, as text; without a symbol it is a whole count."""
+    """Return ``margin`` as text in the unit with the symbol ``symbol``.
+
+    An empty symbol means that the margin is a count.
+    """
     margin, symbol = shown_unit(margin, symbol)
     number = f"{margin:+.1f}" if abs(margin) >= 1.0 and symbol else f"{margin:+.{3 if symbol else 9}g}"
     return f"{number} {symbol}".rstrip()
@@ -93,11 +100,12 @@ def shown_margin(margin: float, symbol: str) -> str:
 class Evaluation:
     """The result of evaluating a property on a trace.
 
-    ``margin`` is in SI units. ``margin`` and ``worst_time_s`` are None if the evaluation has none. ``reason``
-    is a sentence about the decisive moment. ``exercised`` counts the situations in which the run could have
-    violated the property; 0 means never exercised. ``parts`` are the evaluations of the property's parts, if
-    it joins several. ``close`` is the result of ``close_to`` for the property. ``applicable`` is False if the
-    controller under test does not have or report what the property is about, such as an avoider's answers.
+    ``margin`` is in SI units. ``margin`` and ``worst_time_s`` are None if no margin could be computed.
+    ``reason`` is a sentence about the decisive moment. ``exercised`` is the number of situations in which the
+    run could have violated the property. ``parts`` has the evaluations of the property's parts, if the
+    property has several parts. ``close`` is the margin below which the run is near the property's limit, as
+    ``close_to`` returns it. ``applicable`` is False if the property does not apply to the controller under
+    test, for example because the property is about answers and the controller has no avoider.
     """
 
     sentence: str
@@ -121,18 +129,21 @@ class Evaluation:
 
 
 class Evaluations(tuple[Evaluation, ...]):
-    """The evaluations of a run's claims, in the order of the claims; ``bool()`` of them raises an error."""
+    """The evaluations of a run's claims, in the order of the claims.
+
+    The function ``bool()`` raises an error for this object.
+    """
 
     def __bool__(self) -> bool:
         raise no_truth_value(f"whether {len(self)} evaluations are true")
 
 
 class Said(Protocol):
-    """Anything that is evaluated, with its sentence and its unit."""
+    """An object that can be evaluated: it has a sentence, and a unit for its margins."""
 
     @property
     def sentence(self) -> str:
-        """Return the sentence of the catalogue and of reports."""
+        """Return the sentence that the catalogue and reports use."""
 
     @property
     def unit(self) -> Unit:
@@ -140,9 +151,10 @@ class Said(Protocol):
 
 
 def close_to(prop: Said) -> float | None:
-    """Return the margin (SI) below which a run comes near the limit of ``prop``; None without one limit.
+    """Return the margin (SI) below which a run is near the limit of ``prop``.
 
-    A run comes near an upper limit at half of the limit, and near a lower limit at ten times the limit.
+    The result is None if the property does not have one limit. A run comes near an upper limit at half of the
+    limit, and near a lower limit at ten times the limit.
     """
     if hasattr(prop, "close"):
         return prop.close  # type: ignore[no-any-return]
@@ -153,7 +165,10 @@ def close_to(prop: Said) -> float | None:
 
 
 def far_words(close: float | None, least_margin: float | None) -> str:
-    """Return the remark that no run came near its limit; empty if one did, or without a limit."""
+    """Return a remark if no run came near the limit.
+
+    The remark is empty if a run did so, or if the property has no limit.
+    """
     far = close and least_margin is not None and least_margin > close
     return "no run came near its limit; is it in the unit that is meant?" if far else ""
 
@@ -164,14 +179,16 @@ PER_SI = {"mm": 1e3, "mm/s": 1e3, "m/s": 1.0, "m/s2": 1.0, "deg/s2": 180.0 / np.
 
 
 class Worded(ABC):
-    """A property whose sentence is ``wording`` with the values of its fields, as in "within {within_m:mm}".
+    """A property with the wording ``wording``.
 
-    The text after the colon is a unit of ``PER_SI``, "%" for a share, "1" for a number, or empty for a count.
-    After a number or a count, "time(s)" becomes "time" if the value is 1, and else "times".
+    The sentence of the property is this wording with the values of the fields. In the wording, a field is in
+    braces, as in "within {within_m:mm}". The text after the colon is a unit of ``PER_SI``, "%" for a
+    percentage, "1" for a number, or empty for a count. After a number or a count, "time(s)" becomes "time" if
+    the value is 1, and otherwise "times".
     """
 
     def __init_subclass__(cls) -> None:
-        """Accept ``words``, the name of ``wording`` in earlier releases."""
+        """Accept ``words``, which was the name of ``wording`` in earlier releases."""
         super().__init_subclass__()
         if "words" in vars(cls) and "wording" not in vars(cls):
             cls.wording = vars(cls)["words"]  # type: ignore[method-assign]
@@ -189,7 +206,7 @@ class Worded(ABC):
 
 
 def shown_limit(value: float, unit: str) -> str:
-    """Return the limit ``value`` (SI) in ``unit``, as a sentence writes it."""
+    """Return the limit ``value`` (SI) in ``unit`` as text, in the form that sentences use."""
     if unit == "1":
         return f"{value:g}"
     if unit in PER_SI:
@@ -205,7 +222,7 @@ class Property(Said, Protocol):
 
 
 def inconclusive(prop: Said, reason: str, *, exercised: int = 0) -> Evaluation:
-    """Return an inconclusive evaluation of ``prop`` for ``reason``."""
+    """Return an inconclusive evaluation of ``prop`` with the reason ``reason``."""
     return Evaluation(
         sentence=prop.sentence,
         verdict=Verdict.INCONCLUSIVE,
@@ -217,10 +234,10 @@ def inconclusive(prop: Said, reason: str, *, exercised: int = 0) -> Evaluation:
 
 
 def unreadable(trace: Trace, fields: Sequence[str]) -> str | None:
-    """Return why ``trace`` cannot be judged by its ``fields``; None if it can.
+    """Return the reason why ``trace`` cannot be judged by its ``fields``, or None if it can be judged.
 
-    Possible reasons: the trace is empty, it contradicts itself, or a value in ``fields`` is not finite.
-    Values of a hand count only while that hand is there, since its distance is infinite while it is not.
+    Possible reasons: the trace is empty, it contradicts itself, or a value in ``fields`` is not finite. A
+    hand's values are used only while the hand is present; while it is absent, its distance is infinite.
     """
     if len(trace.ticks) == 0:
         return "the trace is empty"
@@ -236,15 +253,19 @@ def unreadable(trace: Trace, fields: Sequence[str]) -> str | None:
 
 @once_a_trace
 def first_unreal(trace: Trace) -> dict[str, int]:
-    """Return the first tick at which each field is not finite, without fields that are always finite."""
+    """Return the first tick at which each field is not finite.
+
+    Fields that are always finite are left out.
+    """
     unreal_columns = unreal(trace, dict.fromkeys(OF_HANDS, trace.ticks["hand_present"]))
     return {name: int(np.argmax(invalid)) for name, invalid in unreal_columns if invalid.any()}
 
 
 def unreal(trace: Trace, there: Mapping[str, NDArray[np.bool_]]) -> Iterator[tuple[str, NDArray[np.bool_]]]:
-    """Yield each field with a value that is NaN or not below ENDLESS in size, and the ticks (n,) with one.
+    """Yield each field that has a NaN or a value not below ENDLESS, with the ticks of such values.
 
-    For a field in ``there``, only the k parts of its rows that are True in ``there`` (n, k) count.
+    The ticks are a boolean array (n,). For a field in ``there``, only the parts of each row for which
+    ``there`` (n, k) is True are examined.
     """
     for name, column in _nonfinite_fields(trace).items():
         invalid = ~(np.abs(as_numbers(trace.ticks)[:, column]) < ENDLESS)[:, None]
@@ -255,14 +276,17 @@ def unreal(trace: Trace, there: Mapping[str, NDArray[np.bool_]]) -> Iterator[tup
 
 @once_a_trace
 def _nonfinite_fields(trace: Trace) -> dict[str, slice]:
-    """Return each field with a value that is NaN or not below ENDLESS, with its columns of ``as_numbers``."""
+    """Return each field that has a NaN or a value not below ENDLESS, with its columns in ``as_numbers``."""
     counts = _endless(as_numbers(trace.ticks)).tolist()
     return {name: column for name, column in columns(trace.ticks.dtype).items() if any(counts[column])}
 
 
 @compiled
 def _endless(rows: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return (c,) the number of values in each column of ``rows`` (n, c) that are not below ENDLESS."""
+    """Return the number of endless values in each column of ``rows`` (n, c), shape (c,).
+
+    A value is endless if it is not below ENDLESS.
+    """
     columns = np.zeros(rows.shape[1], np.int64)
     for k in range(rows.shape[0]):
         for column in range(rows.shape[1]):
@@ -271,19 +295,25 @@ def _endless(rows: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def is_somewhere(position_in_base_m: Array3) -> bool:
-    """Return whether a decision's position is finite and nearer than the horizon."""
+    """Return whether a decision's position is finite, and its coordinates are below HORIZON_M."""
     return bool(np.all(np.abs(position_in_base_m) < HORIZON_M))  # of a NaN it is false
 
 
 def begins_at(state: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return (n,) the ticks at which ``state`` (n,) begins; if True at the first tick, it begins there."""
+    """Return the ticks at which ``state`` (n,) becomes True, shape (n,).
+
+    The first tick is included if ``state`` is True there.
+    """
     begins = state.copy()
     begins[1:] &= ~state[:-1]
     return begins
 
 
 def runs_of(state: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return (k,) the first tick of each stretch of ``state`` (n,), and (k,) the first tick after it."""
+    """Return the first tick of each stretch where ``state`` (n,) is True, and the first tick after it.
+
+    Both results have the shape (k,).
+    """
     padded = np.zeros(len(state) + 2, np.int8)
     padded[1:-1] = state
     change = padded[1:] - padded[:-1]
@@ -291,15 +321,16 @@ def runs_of(state: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int
 
 
 def times_begun(state: NDArray[np.bool_]) -> int:
-    """Return how often ``state`` (n,) begins."""
+    """Return how often ``state`` (n,) becomes True."""
     return int(np.count_nonzero(begins_at(state)))
 
 
 def time_left_s(trace: Trace, limit_s: float, ticks: int) -> float:
-    """Return ``limit_s`` less the time of ``ticks`` control periods; 0.0 if they differ only by rounding.
+    """Return ``limit_s`` minus the duration of ``ticks`` control periods.
 
-    For example, a limit of 24 ms equals three periods of 8 ms, although the floats differ. The allowed
-    difference of 4 units in the last place exceeds the rounding of limit, period and product.
+    The result is 0.0 if the two times differ only by rounding. For example, a limit of 24 ms equals three
+    periods of 8 ms, although the floats differ. The allowed difference of 4 units in the last place exceeds
+    the rounding of limit, period and product.
     """
     took_s = ticks * trace.scenario.settings.clock.control_period_s
     return 0.0 if isclose(limit_s, took_s, rel_tol=2.0**-51) else limit_s - took_s
@@ -318,24 +349,25 @@ def judged(
     most: float | None = None,
     unsure: str = "it holds at the ticks, perhaps not between them",
 ) -> Evaluation:
-    """Return the evaluation of ``prop`` with ``margin``, inconclusive if the run is not evidence.
+    """Return the evaluation of ``prop`` with the margin ``margin``.
 
-    A negative margin is a violation. Otherwise the verdict is inconclusive if the property was never
-    exercised, or the run was cut short. A margin that is not finite cannot come from a real run, so it is not
-    evidence.
+    The evaluation is inconclusive if the run is not evidence. A negative margin is a violation. Otherwise the
+    verdict is inconclusive if the property was never exercised, or the run was cut short. A margin that is
+    not finite cannot come from a real run, so it is not evidence.
 
     Args:
         prop: The property.
         trace: The run.
-        margin: The margin (SI), or its lower end if ``most`` is given.
+        margin: The margin (SI), or its lower bound if ``most`` is given.
         worst_time_s: The time at which the margin occurs.
-        reason: Words on what decided the verdict.
+        reason: A text about the moment that decided the verdict.
         exercised: The number of occasions that exercised the property.
-        lacked: Returns words on what would have exercised the property; None: ``reason`` is used.
-        revocable: Whether later ticks could undo a violation; if so, a run that was cut short has no
+        lacked: A function that returns a text on the event that would have exercised the property. None means
+            that ``reason`` serves as this text.
+        revocable: Whether later ticks could undo a violation. In this case, a run that was cut short has no
             violation.
-        most: The upper end of the margin; the property is violated only if both ends are negative.
-        unsure: Words on why both ends differ.
+        most: The upper bound of the margin. The property is violated only if both bounds are negative.
+        unsure: A text that says why the two bounds differ.
 
     """
     if most is not None and margin < 0.0:
@@ -352,6 +384,7 @@ def judged(
     if not isfinite(margin):
         return inconclusive(prop, f"the margin is not finite ({margin})", exercised=exercised)
     verdict = Verdict.HOLDS
+    # A violation stays one if the run is cut short, unless later ticks could revoke it.
     if margin < 0.0 and (trace.complete or not revocable):
         verdict = Verdict.VIOLATED
     elif exercised == 0:

@@ -104,10 +104,16 @@ CATALOGUE = Registry(_OWN, ExtensionPoint.CLAIMS, CatalogueEntry)
 
 @lru_cache(maxsize=256)  # the scenarios of a space claim the same
 def entry_claimed(sentence: str) -> tuple[CatalogueEntry, re.Match[str]] | None:
-    """Return the catalogue's entry for ``sentence``, with the match of its values; None without an entry."""
+    """Return the catalogue entry that ``sentence`` claims, and the match with the values in the sentence.
+
+    Return None if no entry matches.
+    """
     return next(((entry, match) for entry in CATALOGUE if (match := entry.understands(sentence))), None)
 
 
 def in_words_of_today(sentence: str) -> str:
-    """Return ``sentence`` in today's words if it has an earlier release's words, else as it is."""
+    """Return ``sentence`` in the present wording if it has the wording of an earlier release.
+
+    Any other sentence is returned unchanged.
+    """
     return next(filter(None, (entry.in_words_of_today(sentence) for entry in CATALOGUE)), sentence)

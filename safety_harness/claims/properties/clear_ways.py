@@ -1,4 +1,4 @@
-"""Judge that a repulsion does not lead into the table, the object or the robot itself.
+"""Check that a repulsion does not lead into the table, the object or the robot itself.
 
 The module also computes the clearances along a sequence of joint positions.
 """
@@ -38,7 +38,10 @@ OBSTACLES = ("table", "object", "robot itself")
 
 @dataclass(frozen=True)
 class Way:
-    """Both bounds (3,) [m] of the least clearance from each obstacle along one way, and its time (3,) [s]."""
+    """The least clearance from each obstacle along one path.
+
+    The fields are lower bounds (3,) [m], upper bounds (3,) [m], and times (3,) [s].
+    """
 
     words: str
     least_m: NDArray[np.float64]
@@ -48,13 +51,14 @@ class Way:
 
 @dataclass(frozen=True, kw_only=True)
 class ClearWays:
-    """The least clearance of any link from table, object and the robot itself along every repulsion.
+    """The claim that repulsions stay clear of the table, the object and the robot itself.
 
-    The planned way leads straight from the arm's true position to the chosen one, as far as the arm can
-    follow it. The executed way is that of the true joints from the decision to the end of the repulsion.
-    Between two samples, ``least_along`` gives both bounds of the clearance.
+    The margin is the least clearance of any link from these obstacles along every repulsion. The planned path
+    leads straight from the arm's true position to the chosen position, as far as the arm can follow it. The
+    executed path consists of the true joint positions from the decision to the end of the repulsion. Between
+    two samples, ``least_along`` computes lower and upper bounds of the clearance.
 
-    ``parts`` holds an evaluation for each obstacle. Every chosen way exercises the claim.
+    ``parts`` has an evaluation for each obstacle. Every repulsion exercises the claim.
     """
 
     unit: Unit = Unit.LENGTH
@@ -73,7 +77,7 @@ class ClearWays:
         ],
     )
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge the planned and the executed way of every repulsion."""
+        """Judge the planned and the executed path of every repulsion."""
         repulsions: list[Way] = []
         reach_m = arm_of(trace).reach_m
         for number, decision in enumerate(trace.decisions):
@@ -101,7 +105,10 @@ class ClearWays:
 
 
 def planned(trace: Trace, number: int, reach_m: NDArray[np.float64]) -> Way:
-    """Return the planned way to the position that decision ``number`` chose; ``reach_m`` is (joints,)."""
+    """Return the planned path to the position that decision ``number`` chose.
+
+    ``reach_m`` has the shape (joints,).
+    """
     decision = trace.decisions[number]
     arm = arm_model(trace.scenario.robot)
     start_rad = trace.ticks["joint_position_rad"][decision["tick"]]
@@ -111,7 +118,10 @@ def planned(trace: Trace, number: int, reach_m: NDArray[np.float64]) -> Way:
 
 
 def executed(trace: Trace, number: int, reach_m: NDArray[np.float64]) -> Way:
-    """Return the executed way from decision ``number`` to its repulsion's end; ``reach_m`` is (joints,)."""
+    """Return the path that the arm executed from decision ``number`` to the end of its repulsion.
+
+    ``reach_m`` has the shape (joints,).
+    """
     first = int(trace.decisions[number]["tick"])
     window = slice(first, last_tick(trace, number) + 1)
     joints_rad = trace.ticks["joint_position_rad"][window]
@@ -127,19 +137,24 @@ def least_along(
     slack_m: Floats | float = 0.0,
     limit_m: float = 0.0,
 ) -> tuple[Floats, Floats, NDArray[np.int64]]:
-    """Return both bounds (c,) of the least clearance as joints move linearly, and (c,) the sample before.
+    """Return bounds of the least clearance while the joints move linearly from sample to sample.
 
-    ``clearance_m`` returns clearances (n, c) at joints (n, joints). Between two samples, no point moves
-    farther than the sum over joints of the turn times the chain of links. It leaves that way by at most
-    ``slack_m`` (n - 1,). If ``limit_m`` lies between both bounds, the steps that may decide are computed in
-    PARTS.
+    The results are the lower bound (c,), the upper bound (c,), and the index (c,) of the last sample before
+    the least clearance. ``clearance_m`` returns clearances (n, c) at joints (n, joints). Between two samples,
+    no point moves farther than a bound: the sum over the joints of each joint's angle times the length of the
+    chain of links that it moves. The true motion differs from the linear motion by at most ``slack_m``
+    (n - 1,). Steps that may decide whether the clearance is below ``limit_m`` are divided into PARTS if
+    ``limit_m`` lies between the bounds.
     """
     at_samples = clearance_m(joints_rad)
     moved_m = product(np.abs(np.diff(joints_rad, axis=0)), reach_m)
     slack_m = np.broadcast_to(slack_m, moved_m.shape)
     bound, high = at_samples.copy(), at_samples.min(axis=0)
+    # From either sample, a clearance falls by at most the way between them. Where both bounds are equal, each
+    # is half of the two clearances less the way.
     least_between = 0.5 * (at_samples[:-1] + at_samples[1:] - moved_m[:, None]) - slack_m[:, None]
     unsure = ((least_between < limit_m) & (high >= limit_m)).any(axis=1)
+    # Divide only the steps that can decide, because each costs PARTS more samples.
     for k in np.flatnonzero(unsure & (slack_m < np.inf) & (moved_m > 2.0 * RESOLUTION_M)):
         share = np.linspace(0.0, 1.0, PARTS + 1)[:, None]
         finer = clearance_m(joints_rad[k] + share * (joints_rad[k + 1] - joints_rad[k]))
@@ -152,26 +167,33 @@ def least_along(
 
 CLEAR_WAYS = CatalogueEntry(
     prop=ClearWays(),
-    rationale="if an arm that retreats from a hand runs into the table, the workpiece or itself, it "
-    "stops there and crushes what is in between",
+    rationale=(
+        "if an arm that retreats from a hand runs into the table, the workpiece or itself, it "
+        "stops there and crushes anything in between"
+    ),
     source="the project's own; capsules as for the hand distance",
-    margin="least clearance between any link and each obstacle along the planned and the executed "
-    "way; between samples a lower bound",
+    margin=(
+        "the least clearance between any link and any obstacle, along the planned and the "
+        "executed path. Between samples, it is a lower bound"
+    ),
     parameters="the table's height and the object in the settings",
     exercised="the controller chose a position",
     inconclusive="a chosen position that is not finite",
-    broken_by="an avoider that proposes a position below the table, behind a gate that passes everything",
+    broken_by=(
+        "an avoider that proposes a position below the table, behind a gate that accepts every proposal"
+    ),
 )
 
 
 def clearances_m(trace: Trace, joints_rad: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (n, 3) the clearances [m] from table, object and the robot itself at ``joints_rad`` (n, joints).
+    """Return the clearances [m] from table, object and robot itself, shape (n, 3).
 
-    Capsules enclose the links and the camera, so that no clearance exceeds the true clearance. It is negative
-    in penetration, for the flat object by the capsule's radius at most. The table is an infinite plane. For
-    table and object, forearm, wrist and camera count. Base, shoulder and upper arm do not, because they stand
-    there and end where the forearm begins. For the robot itself, the clearance is that of wrist and camera
-    from base, shoulder and upper arm.
+    The joints are ``joints_rad`` (n, joints). Capsules enclose the links and the camera, so that no clearance
+    exceeds the true clearance. A clearance is negative in penetration. The clearance from a flat object is
+    never less than minus the capsule's radius. The table is an infinite plane. Only forearm, wrist and camera
+    have clearances from the table and the object. Base, shoulder and upper arm are left out, because the base
+    stands on the table and the upper arm ends where the forearm begins. The clearance from the robot itself
+    is the distance of wrist and camera from base, shoulder and upper arm.
     """
     settings, joints_rad = trace.scenario.settings, np.ascontiguousarray(joints_rad)
     table_m, polygon = settings.cell.table_height_m, object_polygon_in_base(settings)
@@ -188,10 +210,11 @@ def _clearances(
     table_m: float,
     polygon: NDArray[np.float64],  # (m, 3)
 ) -> NDArray[np.float64]:
-    """Return (n, 3) the clearances [m] at ``joints_rad`` from table's plane, polygon and robot itself.
+    """Return the three clearances [m] at each sample of ``joints_rad``, shape (n, 3).
 
-    The first two are the least c_z - r - table and |c, polygon| - r over capsules with axis c and radius r.
-    The third is ``wrist_distance``.
+    They are the clearances from the table plane, from the polygon and from the robot itself. A capsule with
+    the axis c and the radius r has the clearances c_z - r - table and |c, polygon| - r. The first two results
+    are the least of these over all capsules. The third result is ``wrist_distance``.
     """
     clearances = np.full((joints_rad.shape[0], 3), np.inf)
     frames = arm.chain[0].joint_axes.shape[0] + 2
@@ -219,11 +242,16 @@ def above_polygon(
     end: NDArray[np.float64],  # (3,), may be the start
     polygon: NDArray[np.float64],  # (m, 3) corners, one after another, all at one height
 ) -> float:
-    """Return the distance [m] of a segment from a level ``polygon``; 0 if the segment passes through it."""
+    """Return the distance [m] between a segment and a level ``polygon``.
+
+    The distance is 0 if the segment passes through the polygon.
+    """
     height = polygon[0, 2]
     first, last = start[2] - height, end[2] - height
     least = np.inf
     for k in range(polygon.shape[0]):
+        # The nearest points are on an edge, at an end of the segment above the polygon, or where the segment
+        # passes through it.
         following = polygon[(k + 1) % polygon.shape[0]]
         least = min(least, segment_segment_distance(start, end, polygon[k], following))
     if _is_above(start[0], start[1], polygon):
@@ -239,7 +267,7 @@ def above_polygon(
 
 @compiled
 def _is_above(x: float, y: float, polygon: NDArray[np.float64]) -> bool:
-    """Return whether a point is within ``polygon`` (m, 3), seen from above, by the even-odd rule."""
+    """Return whether a point, seen from above, is inside ``polygon`` (m, 3) by the even-odd rule."""
     odd = False
     n = polygon.shape[0]
     for k in range(n):

@@ -1,4 +1,4 @@
-"""The catalogue's description of a property: how to claim it, and what to know before.
+"""The catalogue's description of a property: how to claim it, and its background.
 
 Pages are generated from the entries, so that they agree with the code.
 """
@@ -30,6 +30,7 @@ DIMENSIONS = {
     **{"1": NUMBER, "mm": LENGTH, "s": TIME, "mm/s": SPEED, "m/s": SPEED},
     **{"m/s2": ACCELERATION, "deg/s2": ANGULAR_ACCELERATION},
 }
+# A choice: more ticks, times or iterations than any run has.
 LARGEST_COUNT = 1_000_000
 NONE = "-"
 
@@ -41,14 +42,15 @@ class CatalogueEntry:
     """A property of the catalogue.
 
     ``prop`` is an example of the property. ``pattern`` matches every whole sentence that claims the property,
-    ignoring case. ``make`` turns the match into the property. By default both follow from the example's
-    ``wording``; if it has no fields, only its own sentence claims it. ``former`` are wordings of earlier
-    releases with the same fields in the same order, which claim it too. ``formula`` is the property as a
-    formula, with {} for its limit, if there is one. The other fields are for people: ``rationale``,
-    ``source``, the ``margin``'s formula, and the ``parameters`` in sentence and settings. ``exercised`` tells
-    which runs exercise it (others are inconclusive), and ``inconclusive`` gives other reasons. ``scenario``
-    is the shipped scenario that exercises it, and ``broken_by`` the controller or avoider that violates it in
-    the tests.
+    ignoring case. ``make`` turns the match into the property. If ``pattern`` and ``make`` are absent, both
+    are derived from the example's ``wording``. If the example has no fields, only the example's own sentence
+    claims the property. ``former`` has the wordings of earlier releases, which also claim the property. These
+    wordings have the same fields in the same order. ``formula`` is the text of a formula that expresses the
+    property, with {} in place of the limit, or an empty text if no formula does so. The other fields are
+    texts for readers: ``rationale``, ``source``, ``margin`` and ``parameters``. ``exercised`` states which
+    runs exercise the property; all other runs are inconclusive. ``inconclusive`` gives further reasons for an
+    inconclusive verdict. ``scenario`` is the shipped scenario that exercises the property. ``broken_by`` is
+    the controller or avoider that violates the property in the tests.
     """
 
     prop: Property
@@ -72,21 +74,27 @@ class CatalogueEntry:
 
     @property
     def wording(self) -> str:
-        """Return the sentence with the names of fields in place of their values, as in ``Worded``."""
+        """Return the sentence with the field names in place of the values.
+
+        ``Worded`` writes its wording in the same way.
+        """
         return getattr(self.prop, "wording", self.example)
 
     @property
     def key(self) -> str:
-        """Return the entry's identifier: the words without values, such as "hand-distance-never-below"."""
+        """Return the entry's identifier: its wording without values, such as "hand-distance-never-below"."""
         return "-".join(re.sub(r"[^a-z ]", "", FIELD.sub("", self.wording).lower()).split())
 
     @property
     def unit(self) -> Unit:
-        """Return the unit of its margins."""
+        """Return the unit of the property's margins."""
         return self.prop.unit
 
     def property_of(self, match: re.Match[str], scenario: Scenario, place: Place) -> Property:
-        """Return the property that ``match`` claims of ``scenario``; raise InadmissibleError at ``place``."""
+        """Return the property that ``match`` claims about runs of ``scenario``.
+
+        Raise InadmissibleError at ``place`` if a value in the sentence is not allowed.
+        """
         if self.make is not None:
             return self.make(match, scenario, place)
         texts = enumerate(FIELD.findall(self.wording), start=1)
@@ -94,11 +102,14 @@ class CatalogueEntry:
         return replace(self.prop, **values) if values else self.prop  # type: ignore[type-var]
 
     def understands(self, sentence: str) -> re.Match[str] | None:
-        """Return the match of a sentence that claims this property, ignoring case and outer spaces."""
+        """Return the match of ``sentence`` if it claims this property, ignoring case and outer spaces."""
         return _match(sentence, self.pattern or _pattern(self.wording), *map(_pattern, self.former))
 
     def in_words_of_today(self, sentence: str) -> str | None:
-        """Return a ``former`` sentence in today's words, with its values as written; None for any other."""
+        """Return the present wording of a sentence in ``former``, or None for any other sentence.
+
+        The values stay as they are written.
+        """
         match = _match(sentence, *map(_pattern, self.former))
         if match is None:
             return None
@@ -108,7 +119,7 @@ class CatalogueEntry:
 
 
 def _match(sentence: str, *patterns: str) -> re.Match[str] | None:
-    """Return the match of the first pattern that the whole sentence has; None without one."""
+    """Return the match of the first pattern that matches the whole sentence, or None if no pattern does."""
     matches = (re.fullmatch(pattern, sentence.strip(), re.IGNORECASE) for pattern in patterns)
     return next(filter(None, matches), None)
 
@@ -120,7 +131,7 @@ def _pattern(wording: str) -> str:
 
 
 def _limit(text: str, unit: str, scenario: Scenario, place: Place) -> float:
-    """Return the value of a field of ``Worded.wording`` from its ``text`` in a sentence."""
+    """Convert the ``text`` of a field in a sentence to the field's value; ``unit`` is the field's unit."""
     if unit == "ms":
         return time_within(text, scenario, place)
     if unit in DIMENSIONS:
@@ -129,7 +140,10 @@ def _limit(text: str, unit: str, scenario: Scenario, place: Place) -> float:
 
 
 def quantity(text: str, dimension: Dimension, place: Place) -> float:
-    """Return a quantity above zero, as every run or none would keep a limit of zero or less."""
+    """Return a quantity above zero.
+
+    A limit of zero or less is refused, because it would be met either by every run or by no run.
+    """
     value, most = parse_quantity(text, dimension, place), dimension.most_of_limits
     if not 0.0 < value <= most:
         expected = f"{dimension.expected}, above zero and at most {most:g} {dimension.si}"
@@ -139,7 +153,10 @@ def quantity(text: str, dimension: Dimension, place: Place) -> float:
 
 
 def time_within(text: str, scenario: Scenario, place: Place) -> float:
-    """Return a time above zero that ends within a run of ``scenario``, as all runs would keep a later end."""
+    """Return a time above zero that is not longer than a run of ``scenario``.
+
+    A later time is refused, because every run would keep it.
+    """
     value_s = quantity(text, TIME, place)
     if value_s > scenario.duration_s:
         expected = f"a time that ends within the scenario's duration, {scenario.duration_s:g} s"
@@ -148,7 +165,10 @@ def time_within(text: str, scenario: Scenario, place: Place) -> float:
 
 
 def share(text: str, place: Place) -> float:
-    """Return a share of at least 0 % and less than 100 %, as every run would keep 100 %."""
+    """Return a fraction of at least 0 % and less than 100 %.
+
+    A limit of 100 % is refused, because every run would keep it.
+    """
     value = parse_quantity(text, FRACTION, place)
     if not 0.0 <= value < 1.0:
         expected = f"{FRACTION.expected}, of at least 0 % and less than 100 %"
@@ -165,7 +185,7 @@ def count(text: str, place: Place) -> int:
 
 
 def entry_fields(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
-    """Yield (name, text) of all that ``entry`` has for people, in the order of reading."""
+    """Yield (name, text) for each text of ``entry`` that people read, in reading order."""
     yield "why", entry.rationale
     yield "source", entry.source
     yield "margin", f"{entry.margin} ({entry.unit.symbol or 'a number'})"

@@ -1,6 +1,7 @@
-"""Judge by the arm's motion that it falls back after an uncertain answer, and uses a certain answer.
+"""Judge by the arm's motion whether it falls back after uncertain answers and uses certain answers.
 
-Further claims judge that the fallback is usable, and that the arm stops without a valid retreat position.
+Further claims judge whether the fallback can be used, and whether the arm stops if it has no valid retreat
+position.
 """
 
 from __future__ import annotations
@@ -54,7 +55,10 @@ Findings = dict[str, list[Finding]]  # by the part that they judge
 
 
 def has_doubt(decision: np.void) -> bool | None:
-    """Return whether the spread exceeds the avoider's threshold on any axis; None if either is missing."""
+    """Return whether the spread exceeds the avoider's threshold on any axis.
+
+    The result is None if the spread or the threshold is missing.
+    """
     spread_m, threshold_m = decision["proposed_spread_m"], decision["spread_threshold_m"]
     if not (np.isfinite(spread_m).all() and np.isfinite(threshold_m)):
         return None
@@ -62,16 +66,16 @@ def has_doubt(decision: np.void) -> bool | None:
 
 
 def outside_region(trace: Trace, decision: np.void) -> bool:
-    """Return whether the question of ``decision`` was outside the gate's region."""
+    """Return whether ``decision`` asked a question outside the gate's region."""
     region = None if trace.scenario.gate is None else trace.scenario.gate.questions_within
     return region is not None and not region.depth_m(*question_of(trace, decision)) >= 0.0
 
 
 def kept_from_possible_hands(trace: Trace, decision: np.void, failed: str) -> bool:
-    """Return whether a rule of the gate may have refused a position because a hand may be there.
+    """Return whether the gate may have refused a position because a hand could be there.
 
-    Only here does the package trust the gate, because no trace records how certain the filter was about its
-    hands.
+    This is the only point at which the package trusts the gate, because no trace records the filter's
+    uncertainty about its hands.
     """
     rule = trace.scenario.gate
     if rule is None or not rule.of_possible_hands:
@@ -87,9 +91,10 @@ def _add(findings: Findings, added: Findings) -> None:
 def went(
     trace: Trace, number: int, target_in_base_m: NDArray[np.float64], cycles: int, where: str
 ) -> tuple[Findings, bool]:
-    """Return findings on a decision's choice and motion by a target, and whether there was time for any.
+    """Return findings on a decision's choice of a target and on the motion towards this target.
 
-    The target is ``target_in_base_m`` (3,), which ``where`` names.
+    The second result is True if the decision exercised the claim. The target is ``target_in_base_m`` (3,),
+    and ``where`` describes it in the findings.
     """
     decision = trace.decisions[number]
     findings, tried = way_gone(trace, number, target_in_base_m, cycles, where)
@@ -109,7 +114,10 @@ def concluded(
     exercised: int,
     none: Callable[[], str],
 ) -> Evaluation:
-    """Judge the worst finding, with an evaluation for each part; ``none`` returns why there is no finding."""
+    """Return the evaluation of the worst finding, with an evaluation for each part.
+
+    ``none`` returns the reason why there is no finding.
+    """
     if not any(finding_lists.values()):
         return unexercised(prop, none())
     lacked = f"no repulsion had time for {LEAST_WAY_M * 1e3:g} mm of way; a longer duration exercises it"
@@ -127,13 +135,14 @@ def concluded(
 
 @dataclass(frozen=True, kw_only=True)
 class UncertainFallsBack(Worded):
-    """The claim that the arm goes to the opposite pose or stops if the spread exceeds the threshold.
+    """The claim that the arm goes to the opposite pose, or stops, if the spread exceeds the threshold.
 
-    The claim computes the opposite pose again from the predictions of the tick. ``way_gone`` judges the
+    The opposite pose is computed again from the predictions at the decision's tick. ``way_gone`` judges the
     motion's onset (within ``cycles`` control ticks), direction, speed and end separately. A chosen position
     more than 1 mm from the opposite pose is a violation. The arm may stop before the next decision if the
-    opposite pose could not be used (``spare_m``), but then it must really stop (``stopped_m``). If the arm
-    stops although the pose could be used, the margin is minus the pose's reserve.
+    opposite pose could not be used (``spare_m``). In that case, the arm must really stop (``stopped_m``). If
+    the arm stops although it could have used the pose, the margin is minus the reserve of the pose
+    (``spare_m``).
     """
 
     cycles: int
@@ -150,6 +159,7 @@ class UncertainFallsBack(Worded):
                 continue
             opposite = opposite_position(trace, decision)
             tick, time_s = int(decision["tick"]), float(decision["time_s"])
+            # The next decision ends this one, and has a verdict of its own.
             until = min([tick + self.cycles, *trace.decisions["tick"][number + 1 : number + 2] - 1])
             if np.any(trace.ticks["mode"][tick : until + 1] == Mode.PROTECTIVE_STOP):
                 if not kept_from_possible_hands(trace, decision, "opposite_failed"):
@@ -169,11 +179,12 @@ class UncertainFallsBack(Worded):
 
 @dataclass(frozen=True, kw_only=True)
 class CertainIsUsed:
-    """The claim that a usable answer within the avoider's threshold and the gate's region is used.
+    """The claim that the arm uses each usable answer whose spread is within the avoider's threshold.
 
-    It complements ``UncertainFallsBack``, because a gate that always falls back would make every avoider look
-    safe. An answer is usable if its reserve (``spare_m``) is at least 1 mm. The motion there is judged like a
-    motion to the opposite pose. If the arm stops, the margin is minus the whole way.
+    Answers to questions outside the gate's region are ignored. This claim complements ``UncertainFallsBack``,
+    because a gate that always falls back would make every avoider look safe. An answer is usable if its
+    reserve (``spare_m``) is at least 1 mm. The motion to the proposed position is judged like a motion to the
+    opposite pose. If the arm stops, the margin is minus the distance to the proposed position.
     """
 
     unit: Unit = Unit.LENGTH
@@ -221,19 +232,21 @@ MARGINS = (
     "the pose, after the first 10 mm. "
     f"Speed: how far the TCP is ahead of a point mass with {PACE.speed:.0%} of a repulsion's speed and "
     f"{PACE.acceleration:.0%} of its acceleration. "
-    f"End: the arrival tolerance plus {SHORT_M * 1e3:g} mm, less the TCP's distance from the pose"
+    f"End: the arrival tolerance plus {SHORT_M * 1e3:g} mm, minus the TCP's distance from the pose"
 )
 
 UNCERTAIN = CatalogueEntry(
     prop=UncertainFallsBack(cycles=2),
     pattern=r"uncertain answers fall back within (\S+) cycles?",
     rationale="the spread is useful only if it prevents the arm from going where the network guesses",
-    source="the paper, section 3.3: the opposite pose where the network is not sure",
-    margin="the least of four margins of a retreat. Onset: the control ticks left, converted to a way. "
-    f"{MARGINS}. After a stop: how much the opposite pose missed a check, or minus its reserve",
+    source="the paper, section 3.3: the arm uses the opposite pose if the network is not sure",
+    margin="the least of four margins of a retreat. Onset: the control ticks left, converted to a distance. "
+    f"{MARGINS}. After a stop: the amount by which the opposite pose failed a check, or minus its reserve if "
+    "it passed",
     parameters="the number of control ticks; the avoider's threshold, and the radius in the settings",
-    exercised="a spread is above the avoider's threshold, and then the arm has time for a way of 10 "
-    "mm, or stops",
+    exercised=(
+        "a spread is above the avoider's threshold, and the arm then stops or has time for a path of 10 mm"
+    ),
     scenario="hesitating-reach",
     broken_by="an avoider with large spreads behind a gate that does not check the spread",
 )
@@ -241,12 +254,14 @@ UNCERTAIN = CatalogueEntry(
 CERTAIN = CatalogueEntry(
     prop=CertainIsUsed(),
     rationale="if a system always falls back, the runs do not test its avoider",
-    source="the other direction of the same rule",
+    source="the paper, section 3.3: the same rule as for uncertain answers, in the other direction",
     margin="the least of four margins of a retreat. Onset: the control ticks left of two, converted to a "
-    f"way. {MARGINS}. After a stop: minus the way to the proposed position",
+    f"distance. {MARGINS}. After a stop: minus the distance to the proposed position",
     parameters="the avoider's threshold; the reserve that a position needs to be usable",
-    exercised="a spread is within the avoider's threshold, the position is usable, and the arm has "
-    "time for a way of 10 mm",
+    exercised=(
+        "a spread is within the avoider's threshold, the position is usable, and the arm has "
+        "time for a path of 10 mm"
+    ),
     scenario="hesitating-reach",
     broken_by="a gate that refuses every proposal",
 )
@@ -254,14 +269,15 @@ CERTAIN = CatalogueEntry(
 
 @dataclass(frozen=True, kw_only=True)
 class FallbackPoses:
-    """The claim that at every decision the gate's fallback pose is reachable and leads away from hands.
+    """The claim that the gate's fallback pose is reachable and leads away from hands at every decision.
 
-    All decisions count, even if the system did not fall back. The first of the ``parts`` is judged as by
-    ``repulsive poses reachable``, from the true joints. The second part is the component of the way to the
-    pose that leads away from each true hand, least over hands. The margin is the lesser of both. If it is
-    negative, the system could only stop.
+    All decisions are judged, even if the system did not fall back. The first part is judged in the same way
+    as the claim ``repulsive poses reachable``, beginning at the true joint positions. The second part
+    concerns the way from the TCP to the pose, and judges the component of this way that leads away from a
+    true hand. The least component over all true hands is used. The margin is the lesser of the margins of
+    both parts. If the margin is negative, the system could only stop.
 
-    Every decision exercises the claim, and a true hand exercises the second part.
+    Every decision exercises the claim, and every true hand at a decision exercises the second part.
     """
 
     unit: Unit = Unit.LENGTH
@@ -324,9 +340,12 @@ FALLBACK_POSES = CatalogueEntry(
     prop=FallbackPoses(),
     rationale="the arm falls back after an uncertain, faulty or late answer, so the fallback must be "
     "available at every decision",
-    source="the paper, section 3.3; opposite poses out of reach are counted in its table 4",
-    margin="the lesser of two lengths: how far the straight way is reachable beyond the pose (at "
-    "most 100 mm), and the component of the way that leads away from each true hand",
+    source="the paper, section 3.3; table 4 counts opposite poses out of reach",
+    margin=(
+        "the lesser of two lengths: the distance beyond the pose over which the straight path "
+        "is reachable (at most 100 mm), and the least component of the path that leads away "
+        "from a true hand"
+    ),
     parameters="radius and least singular value in the settings",
     exercised="the controller made a decision",
     broken_by="a gate whose fallback leads towards the hand",
@@ -337,9 +356,10 @@ FALLBACK_POSES = CatalogueEntry(
 class StopsWhereNothingIsReachable:
     """The claim that the arm stops if it can reach neither the answer nor the opposite pose.
 
-    The claim computes both reaches again from the true joints; a missing answer cannot be reached. The margin
-    is the allowed way of a protective stop from the decision on, less the TCP's way (``stopped_m``). So an
-    arm that goes on violates the claim, whatever its controller reports.
+    The claim computes again from the true joints whether the arm can reach the answer and the opposite pose.
+    A missing answer cannot be reached. After the decision, the TCP may move as far as in a protective stop.
+    The margin is this allowed distance minus the distance that the TCP actually moves (``stopped_m``). So an
+    arm that moves on violates the claim, whatever its controller reports.
     """
 
     unit: Unit = Unit.LENGTH
@@ -360,7 +380,7 @@ class StopsWhereNothingIsReachable:
         ],
     )
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge each decision without a reachable position."""
+        """Judge each decision at which the arm could reach no position."""
         findings: list[Finding] = []
         least_m, when_s = np.inf, 0.0
         for decision in trace.decisions:
@@ -389,10 +409,15 @@ STOPS = CatalogueEntry(
     rationale="an arm that continues as before does not react to the hand, and an arm that moves "
     "towards an unreachable position ends at its limits",
     source="the last of the three steps: answer, opposite pose, stop",
-    margin="the way that the TCP may move until it stands (v T_r + v T_s/2, the way of one control "
-    "period, and 2 mm) less the way that it moved",
+    margin=(
+        "the distance that the TCP may travel until it stops, minus the distance that it "
+        "travelled. The allowed distance is v T_r + v T_s/2, plus the distance of one control "
+        "period, plus 2 mm"
+    ),
     parameters="reaction time, stop time, radius and least singular value in the settings",
     exercised="a decision at which neither the answer nor the opposite pose can be reached",
     scenario="nothing-reachable",
-    broken_by="an avoider that proposes a position two metres away, behind a gate that passes everything",
+    broken_by=(
+        "an avoider that proposes a position two metres away, behind a gate that accepts every proposal"
+    ),
 )

@@ -47,12 +47,14 @@ READ = (
 
 @dataclass(frozen=True, kw_only=True)
 class FiniteTrace:
-    """Minus the number of records that are out of order or have a value that is not a number.
+    """The claim that all values are numbers and that time goes forward.
 
-    A record is out of order if it is not later than the record before it. Values of absent things do not
-    count. These are an absent hand, the features of an image without the object, and the prediction of a slot
-    that tracks no hand. In decisions they are a missing answer's proposal, a stop's position, a missing
-    threshold, and the time of a decision that was not timed.
+    The margin is minus the number of records that are out of order or have a value that is not a number. A
+    record is out of order if it is not later than the record before it. Values of absent things are ignored.
+    In a tick, the ignored values are those of an absent hand, the features of an image without the object,
+    and the prediction of a slot that tracks no hand. In a decision, the ignored values are the proposal of a
+    missing answer, the position of a stop, a missing threshold, and the time of a decision that was not
+    timed.
     """
 
     unit: Unit = Unit.COUNT
@@ -60,7 +62,7 @@ class FiniteTrace:
 
     @only_whole(*READ, of_any=True)
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge ticks and decisions."""
+        """Judge all ticks and decisions."""
         ticks, decisions = trace.ticks, trace.decisions
         if len(ticks) == 0:
             return inconclusive(self, "the trace is empty")
@@ -80,7 +82,10 @@ class FiniteTrace:
 
 
 def bad_ticks(trace: Trace) -> NDArray[np.bool_]:
-    """Return (n,) whether each tick has a measured value that is not a number, or is out of order."""
+    """Return a mask of the ticks with a wrong record, shape (n,).
+
+    Such a tick is out of order, or has a measured value that is not a number.
+    """
     trace = without_gaps(trace, READ)
     bad = np.zeros(len(trace.ticks), np.bool_)
     ticks, time_s, lacking = trace.ticks, trace.time_s, trace.known.missing(READ)
@@ -99,7 +104,10 @@ def bad_ticks(trace: Trace) -> NDArray[np.bool_]:
 
 
 def bad_decisions(trace: Trace) -> NDArray[np.bool_]:
-    """Return (m,) whether each decision has a measured value that is not a number, or is out of order."""
+    """Return a mask of the decisions with a wrong record, shape (m,).
+
+    Such a decision is out of order, or has a measured value that is not a number.
+    """
     decisions, latency_s = trace.decisions, trace.decision_latency_s
     bad = np.zeros(len(decisions), np.bool_)
     if len(decisions) == 0:
@@ -121,9 +129,11 @@ def bad_decisions(trace: Trace) -> NDArray[np.bool_]:
 FINITE_TRACE = CatalogueEntry(
     prop=FiniteTrace(),
     rationale="every other claim is computed from these numbers",
-    source="arithmetic: a comparison with what is no number is never true",
-    margin="minus the number of ticks and decisions that contain NaN or infinity, or whose time is "
-    "not later than the previous one; at 0 the claim holds",
+    source="arithmetic: a comparison with NaN is never true",
+    margin=(
+        "minus the number of ticks and decisions that contain NaN or infinity, or whose time "
+        "is not later than the previous one. The claim holds if the margin is 0"
+    ),
     parameters="none",
     exercised="always",
     broken_by="a controller whose features are NaN",

@@ -1,10 +1,10 @@
-"""Judge that the arm really gives way: away from every hand, as far and as fast as it can.
+"""Check that the arm really gives way: it must move away from every hand, as far and as fast as it can.
 
 The progress of a repulsion is compared with that of a reference, a point mass. The reference begins with the
-TCP's true position and velocity, heads for the chosen position, and slows down in time to stop there. It uses
-nine tenths of the repulsion speed and seven tenths of its acceleration, taken as 20 mm/s and 0.1 m/s^2 at
-least: a slower motion is no retreat. While the drives brake or a joint is at its speed limit, the reference
-moves like the TCP.
+TCP's true position and velocity, heads for the chosen position, and slows down in time to stop there. The
+reference uses nine tenths of the repulsion speed and seven tenths of the repulsion's acceleration. For this,
+the speed is taken to be at least 20 mm/s and the acceleration at least 0.1 m/s^2, because a slower motion is
+no retreat. While the drives brake or a joint is at its speed limit, the reference moves like the TCP.
 """
 
 from __future__ import annotations
@@ -33,7 +33,10 @@ from safety_harness.trace.trace import Trace
 LEAST_WAY_M = 0.010  # a shorter way is not giving way, and a reference with a shorter way is no evidence
 ARRIVED_FRACTION = 0.1  # of the way may be left when the controller regards the arm as arrived
 DIP_M = 1e-4  # by which the executed way may lead nearer than is unavoidable
+# A choice, below the 99 % of the speed and 80 % of the acceleration with which the shipped controller plans
+# (controller/motion), so that a correct retreat keeps up.
 SPEED_SHARE, ACCELERATION_SHARE = 0.9, 0.7
+# A choice: a slower motion is no retreat, whatever the settings say.
 LEAST_SPEED_MPS, LEAST_ACCELERATION_MPS2 = 0.020, 0.1
 SLACK_M = 0.002  # how far the TCP may stay behind the reference; one control period's way more, but
 NOT_OFF = np.zeros(3)
@@ -41,7 +44,11 @@ SLACK_SHARE = 0.1  # at most this share of the whole way
 
 
 class Shares(NamedTuple):
-    """The shares of the repulsion speed and, for speeding up, of its acceleration that the reference uses."""
+    """The fractions that determine the motion of the reference.
+
+    The reference moves with these fractions of the speed and the acceleration of the repulsion. The fraction
+    of the acceleration applies only while the reference speeds up.
+    """
 
     speed: float
     acceleration: float
@@ -52,7 +59,7 @@ MODEST = Shares(SPEED_SHARE, ACCELERATION_SHARE)
 
 @dataclass(frozen=True)
 class Finding:
-    """A margin [m] with its time [s] and a description."""
+    """A margin [m], the time [s] at which it occurs, and a description of it."""
 
     margin_m: float
     time_s: float
@@ -60,7 +67,7 @@ class Finding:
 
 
 def worst_of(findings: Sequence[Finding]) -> Finding:
-    """Return the first of ``findings`` with a margin that is not finite, else the one with the least margin.
+    """Return the first of ``findings`` whose margin is not finite, or else the finding with the least margin.
 
     ``findings`` must not be empty.
     """
@@ -70,7 +77,10 @@ def worst_of(findings: Sequence[Finding]) -> Finding:
 
 @dataclass(frozen=True)
 class _End:
-    """The least and largest margin [m] of a finding; unless ``always``, it counts only if it is negative."""
+    """The least and the largest possible margin [m] of a finding.
+
+    Unless ``always`` is True, the finding is used only if its margin is negative.
+    """
 
     low_m: float
     high_m: float
@@ -78,9 +88,10 @@ class _End:
 
 
 def _ends(prop: MovesAway, trace: Trace) -> tuple[float, float, bool]:
-    """Return the least and the largest margin over all decisions, as ``reads`` expects.
+    """Return the bounds of the least margin over all decisions for ``reads``.
 
-    Both are infinite if a decision continues a repulsion because of another hand.
+    Both bounds are infinite if a decision was caused by another hand and therefore continues an earlier
+    repulsion.
     """
     if trace.known.uncertain(["demanded_joint_velocity_radps"]):
         return -np.inf, np.inf, False
@@ -100,25 +111,28 @@ def _ends(prop: MovesAway, trace: Trace) -> tuple[float, float, bool]:
 
 
 def _ends_of(prop: MovesAway, trace: Trace, number: int) -> tuple[list[_End], bool]:
-    """Return the margins' ends for decision ``number``, and whether it certainly exercised the claim.
+    """Return bounds of the margins of decision ``number``, and whether it certainly exercised the claim.
 
-    The decision's tick is uncertain by a tick or a gap. The errors of the TCP's place and velocity shift the
-    reference's beginning and speed.
+    The decision's tick is uncertain by one tick, or by the length of a gap. The errors of the TCP's position
+    and velocity displace the start of the reference and change its speed.
     """
     decision, count, known = trace.decisions[number], len(trace.ticks), trace.known
     first, last = int(decision["tick"]), last_tick(trace, number)
+    # The decision may have been at a neighbouring tick or, in a gap of the column, anywhere in the gap.
     gaps = ((gap.first, gap.after) for gap in known.column("decision").gaps)
     around = slice(*next((gap for gap in gaps if gap[0] <= first < gap[1]), (max(first - 1, 0), first + 2)))
     run, period_s = slice(first, last + 1), trace.scenario.settings.clock.control_period_s
     tcp_m, hands_m = trace.ticks["transform_tcp_to_base"][:, :3, 3], trace.ticks["hand_position_in_base_m"]
     columns = "transform_tcp_to_base", "hand_position_in_base_m"
     off_m, hand_off_m = (known.uncertainty_of(name, count) for name in columns)
+    # The reference may start at any position of these ticks, with the error of a position.
     start_off_m = float(off_m[around].max() + np.linalg.norm(tcp_m[around] - tcp_m[first], axis=1).max())
     way_m, moved_m = decision["chosen_position_in_base_m"] - tcp_m[first], tcp_m[run] - tcp_m[first]
     length_m = length(way_m)
     velocities = np.array([velocity_at(trace, tick) for tick in range(*around.indices(count))])
     speeds_mps = trace.ticks["tcp_speed_mps"] + known.uncertainty_of("tcp_speed_mps", count)
     fastest_mps = float(np.nan_to_num(speeds_mps[around], nan=np.inf).max())
+    # A velocity is the difference of two positions. It cannot be off by more than the largest speed allows.
     dv_mps = 2.0 * float(off_m[around].max()) / period_s
     dv_mps = float(np.fmin(dv_mps, fastest_mps + np.linalg.norm(velocities, axis=1).max()))
     ends = [_End(length_m - start_off_m - LEAST_WAY_M, length_m + start_off_m - LEAST_WAY_M)]
@@ -129,11 +143,14 @@ def _ends_of(prop: MovesAway, trace: Trace, number: int) -> tuple[list[_End], bo
         u_m += float(np.linalg.norm(hands_m[around, hand] - hands_m[first, hand], axis=1).max())
         apart_m = tcp_m[first] - hands_m[first, hand]
         distance_m = length(apart_m)
+        # Surely too far away to be judged; ``sure`` below means surely near enough.
         if distance_m - start_off_m - u_m >= prop.nearer_m:
             continue
         sure = distance_m + start_off_m + u_m < prop.nearer_m
         counted |= sure
         away = apart_m / max(distance_m, 1e-9)
+        # Displacements x and y of the ends turn a direction by at most 2 (x + y)/d. Two unit vectors differ
+        # by at most 2.
         turned = min(2.0, 2.0 * (start_off_m + u_m) / max(distance_m, 1e-9))
         planned_m, planned_off_m = (
             float(product(way_m, away)) + prop.tolerance_m,
@@ -148,6 +165,7 @@ def _ends_of(prop: MovesAway, trace: Trace, number: int) -> tuple[list[_End], bo
         least_m = max(distance_m - u_m - start_off_m, 1e-9)
         nearer_off_m = off_m[run] + start_off_m
         nearer_off_m += u_m * np.minimum(2.0, 2.0 * np.linalg.norm(moved_m, axis=1) / least_m)
+        # At the decision itself the TCP has not moved, so its distance is compared with itself.
         nearer_off_m[0] = 0.0
         low_m = float((nearer_m - nearer_off_m).min()) + float(unavoidable_m[0])
         high_m = float((nearer_m + nearer_off_m).min()) + float(unavoidable_m[1])
@@ -168,9 +186,11 @@ def _ends_of(prop: MovesAway, trace: Trace, number: int) -> tuple[list[_End], bo
 
 
 def _led_m(trace: Trace, decision: np.void, last: int, off_m: float, dv_mps: float) -> NDArray[np.float64]:
-    """Return (n,) 1.5 times the error of a reference that begins ``off_m`` away and ``dv_mps`` faster.
+    """Return 1.5 times the change of the TCP's lag if the reference starts differently, shape (n,).
 
-    The error is the largest for shifts along the way, back, and to four sides; it is zero at first.
+    The start of the reference is displaced by ``off_m``, and its speed is changed by ``dv_mps``. The result
+    is the largest change over six directions: forwards and backwards along the way, and four directions at
+    right angles to it. It is zero at the first tick.
     """
     first = int(decision["tick"])
     way_m = decision["chosen_position_in_base_m"] - trace.ticks["transform_tcp_to_base"][first, :3, 3]
@@ -184,8 +204,12 @@ def _led_m(trace: Trace, decision: np.void, last: int, off_m: float, dv_mps: flo
 
 
 def _axes(way_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return orthogonal unit vectors (3, 3), the first along the way, by Householder's reflection."""
+    """Return orthogonal unit vectors (3, 3); the first is parallel to the way.
+
+    The vectors come from a Householder reflection.
+    """
     mirror = way_m.copy()
+    # With this sign the two numbers never cancel.
     mirror[0] += np.copysign(length(way_m), way_m[0])
     square = product(mirror, mirror)
     return np.eye(3) - 2.0 * np.outer(mirror, mirror) / (square if square > 0.0 else 1.0)
@@ -193,22 +217,24 @@ def _axes(way_m: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, kw_only=True)
 class MovesAway:
-    """The claim that giving way never brings the TCP nearer to a hand, and really takes place.
+    """The claim that the arm really gives way, and that this never brings the TCP nearer to a hand.
 
-    The planned way is judged at its start: if a straight way leads away there, it does so everywhere. The
-    margin is the part of the way that leads away, (p - t) . (t - h)/|t - h| for the TCP t, the position p and
-    the hand h, least over all true hands. A way shorter than 10 mm violates the claim by what it lacks of 10
-    mm.
+    The planned way is straight, so it is judged only at its start: if it leads away from a hand there, it
+    leads away everywhere. The margin is the least component of the way that leads away from a true hand. For
+    the TCP t, the position p and the hand h, this component is the scalar product of p - t and (t - h)/|t -
+    h|. A way shorter than 10 mm violates the claim, and the margin is minus the missing length.
 
-    The executed way ends with the repulsion or at the next decision. Margins count if negative: (1) The TCP
-    may come nearer to where the hand was only by the unavoidable v^2/(2 a) + 2 v dt. Here v is its speed
-    towards the hand at the decision, and a the acceleration. (2) It must keep up with the reference, but for
-    a slack. (3) If the controller regards it as arrived, at most a tenth of the way may remain.
+    The executed way ends with the repulsion or at the next decision. It has three margins, which are used
+    only if they are negative. (1) The TCP may come nearer to the hand's position at the decision only by the
+    unavoidable distance v^2/(2 a) + 2 v dt. Here v is the TCP's speed towards the hand at the decision, and a
+    is the repulsion's acceleration. (2) The TCP may lag behind the reference only by a small distance. (3) If
+    the controller regards the TCP as arrived, at most a tenth of the way may remain.
 
-    The planned way and the executed way (1) may lead nearer to a hand by ``tolerance_m``. Only hands nearer
-    to the TCP than ``nearer_m`` at the decision count: a hand that rests far away is no hazard.
+    The planned way may lead towards a hand by at most ``tolerance_m``. In (1), the same tolerance applies to
+    the executed way. Only hands that are nearer to the TCP than ``nearer_m`` at the decision are judged,
+    because a hand that rests far away is no hazard.
 
-    A decision exercises the claim if a true hand was there, and the reference had time for a way of 10 mm.
+    A decision exercises the claim if a true hand was present and the reference had time to move by 10 mm.
     Source: section 4.1 of the paper ("a quarter of a sphere will lead the robot to move away").
     """
 
@@ -278,7 +304,7 @@ class MovesAway:
 
 
 def last_tick(trace: Trace, number: int) -> int:
-    """Return the tick at which the repulsion that decision ``number`` began has ended."""
+    """Return the tick at which the repulsion of decision ``number`` has ended."""
     first = int(trace.decisions[number]["tick"])
     following = trace.decisions["tick"][number + 1 :]
     end = int(following[0]) if len(following) else len(trace.ticks) - 1
@@ -289,7 +315,7 @@ def last_tick(trace: Trace, number: int) -> int:
 def away_from(
     trace: Trace, decision: np.void, hand: int, last: int, tolerance_m: float = 0.0
 ) -> list[Finding]:
-    """Judge the planned and the executed way by ``hand``, as if it stayed where it was at the decision."""
+    """Judge the planned and the executed way relative to the position of ``hand`` at the decision."""
     first, time_s = int(decision["tick"]), float(decision["time_s"])
     settings, name = trace.scenario.settings, trace.scenario.hands[hand].name
     hand_in_base = trace.ticks["hand_position_in_base_m"][first, hand]
@@ -316,7 +342,7 @@ def away_from(
 
 
 def given(trace: Trace, number: int, last: int, done: RepulsionProgress) -> list[Finding]:
-    """Return findings on a way that is too short, too slow or ended too early, whatever the hands."""
+    """Return findings on a way that is too short, is too slow or ends too early, whatever the hands do."""
     decision = trace.decisions[number]
     tcp_in_base = trace.ticks["transform_tcp_to_base"][:, :3, 3]
     target_in_base = decision["chosen_position_in_base_m"]
@@ -333,8 +359,8 @@ def given(trace: Trace, number: int, last: int, done: RepulsionProgress) -> list
 def arrival_claimed(trace: Trace, number: int, last: int) -> bool:
     """Return whether the controller ends the repulsion of decision ``number`` as if it had arrived.
 
-    It does so if it returns to servoing (or has lost the object), or decides again for a reason other than
-    another hand. It does not do so at a protective stop or at the end of the trace.
+    The controller does so if it returns to servoing, loses the object, or decides again for a reason other
+    than another hand. It does not do so at a protective stop or at the end of the trace.
     """
     mode = trace.ticks["mode"][last]
     if mode == Mode.PROTECTIVE_STOP and last == trace.decisions["tick"][number]:
@@ -346,7 +372,10 @@ def arrival_claimed(trace: Trace, number: int, last: int) -> bool:
 
 
 def velocity_at(trace: Trace, tick: int) -> NDArray[np.float64]:
-    """Return (3,) the TCP's mean velocity [m/s] in base over the period before ``tick``; zero at tick 0."""
+    """Return the TCP's mean velocity [m/s] in the base frame over the period before ``tick``, shape (3,).
+
+    The velocity is zero at tick 0.
+    """
     if tick == 0:
         return np.zeros(3)
     positions = trace.ticks["transform_tcp_to_base"][tick - 1 : tick + 1, :3, 3]
@@ -363,23 +392,30 @@ MOVES_AWAY = CatalogueEntry(
     ),
     rationale="an avoider that moves the arm towards a hand, or not at all, makes the hazard worse",
     source="the paper, section 4.1",
-    margin="component of the planned displacement that leads away from the hand, least over all "
-    "hands. The margin is also negative if the arm does not execute the plan",
-    parameters='"... nearer than 600 mm" restricts the claim to hands that were so near to the TCP at '
-    'the decision. "... to within 5 mm" states how much nearer to a hand the planned and the executed way '
-    "may lead. Also the speed and acceleration of a repulsion",
-    exercised="a true hand was present, and the repulsion lasted long enough for a way of 10 mm",
+    margin=(
+        "the component of the planned displacement that leads away from a hand; the least "
+        "value over all hands. The margin is also negative if the arm does not execute the "
+        "plan"
+    ),
+    parameters=(
+        '"... nearer than 600 mm" restricts the claim to hands that were so near to the TCP '
+        'at the decision. "... to within 5 mm" states how much nearer to a hand the planned '
+        "and the executed path may lead. Further parameters are the speed and the "
+        "acceleration of a repulsion"
+    ),
+    exercised="a true hand was present, and the repulsion lasted long enough for a path of 10 mm",
     inconclusive="a chosen position that is not finite",
-    broken_by="an avoider that heads for the hand, behind a gate that passes everything",
+    broken_by="an avoider that moves towards the hand, behind a gate that accepts every proposal",
 )
 
 
 @dataclass(frozen=True)
 class RepulsionProgress:
-    """The progress of a repulsion beside its reference.
+    """The progress of a repulsion in comparison with its reference.
 
-    ``margin_m`` is the slack less the TCP's largest lag behind the reference, which occurs at ``worst_tick``.
-    ``behind_m`` is the lag at the end, and ``due_m`` is the way of the reference.
+    ``margin_m`` is the allowed lag behind the reference minus the TCP's largest lag. The largest lag occurs
+    at ``worst_tick``. ``behind_m`` is the lag at the end, and ``due_m`` is the distance by which the
+    reference approached the target.
     """
 
     margin_m: float
@@ -395,10 +431,11 @@ def progress(
     interrupted: RepulsionProgress | None,
     shares: Shares = MODEST,
 ) -> RepulsionProgress:
-    """Return the progress from ``decision`` to the tick ``last``, compared with a reference with ``shares``.
+    """Return the progress from ``decision`` to the tick ``last``.
 
-    ``interrupted`` is the progress of the repulsion that another hand interrupted before. Its due way and its
-    lag are added, so that the arm cannot decide again and again instead of moving.
+    The reference moves with the fractions ``shares``. ``interrupted`` is the progress of the repulsion that
+    another hand interrupted before. The lag and the due distance of ``interrupted`` are added to those of
+    this repulsion. Otherwise an arm could make new decisions again and again without moving.
     """
     first = int(decision["tick"])
     done = _followed(trace, decision, last, shares=shares)
@@ -411,7 +448,10 @@ def progress(
 
 @dataclass(frozen=True, eq=False)
 class _Followed:
-    """A repulsion with its lag ``behind_m`` (n,) behind its reference; ``excused`` if any tick is excused."""
+    """A repulsion, with the distance ``behind_m`` (n,) by which the TCP lags behind the reference.
+
+    ``excused`` is True if the reference moved like the TCP at any tick.
+    """
 
     behind_m: NDArray[np.float64]
     due_m: float
@@ -427,7 +467,10 @@ def _followed(
     faster_mps: NDArray[np.float64] = NOT_OFF,  # (3,)
     shares: Shares = MODEST,
 ) -> _Followed:
-    """Return the repulsion from ``decision`` to ``last``; the reference begins displaced by ``off_m``."""
+    """Return the repulsion from ``decision`` to ``last``.
+
+    The reference begins displaced by ``off_m`` and faster by ``faster_mps``.
+    """
     first = int(decision["tick"])
     settings, avoidance = trace.scenario.settings, trace.scenario.settings.avoidance
     window = trace.ticks[first : last + 1]
@@ -453,7 +496,10 @@ def _followed(
 
 
 def excused_in(trace: Trace, first: int, last: int) -> NDArray[np.bool_]:
-    """Return (n,) whether drives brake or a joint is at its speed limit, from tick ``first`` to ``last``."""
+    """Return a mask of the ticks at which the drives brake or a joint is at its speed limit, shape (n,).
+
+    The ticks are those from ``first`` to ``last``.
+    """
     window, arm = trace.ticks[first : last + 1], arm_model(trace.scenario.robot)
     at_limit = np.abs(window["demanded_joint_velocity_radps"]) >= 0.999 * arm.velocity_limit_radps
     slowed = (window["limits"] & Limit.JOINT_SPEED != 0) & at_limit.any(axis=1)
@@ -471,11 +517,12 @@ def _behind(
     braking_mps2: float,
     period_s: float,
 ) -> tuple[NDArray[np.float64], float]:
-    """Return the TCP's lag [m] behind the reference at each tick, and the way of the reference [m].
+    """Return the TCP's lag [m] behind the reference at each tick, and a distance [m].
 
-    At each tick the reference takes v <- v + min(1, a dt/|u - v|) (u - v), x <- x + v dt.  The wanted
-    velocity u is min(v_max, (2 b s)^(1/2), s/dt) towards the target, s away.  In an excused tick it moves
-    like the TCP.
+    The distance is how far the reference approached the target. At each tick, its velocity v becomes v +
+    min(1, a dt/|u - v|) (u - v), and then its position x becomes x + v dt. The wanted velocity u points
+    towards the target at the distance s, and has the speed min(v_max, (2 b s)^(1/2), s/dt). In an excused
+    tick the reference moves like the TCP.
     """
     n = tcp_in_base_m.shape[0]
     behind = np.zeros(n)
@@ -487,12 +534,15 @@ def _behind(
         behind[k] = _distance(tcp_in_base_m[k], target_in_base_m) - left
         if k == n - 1:
             break
+        # Brakes or a joint limit hold the arm back, which is no fault of the retreat.
         if excused[k]:
             for i in range(3):
                 step = tcp_in_base_m[k + 1, i] - tcp_in_base_m[k, i]
                 x[i] += step
                 v[i] = step / period_s
             continue
+        # The least of the top speed, the speed from which it can still stop at the target, and the speed that
+        # reaches the target in one tick.
         speed = min(speed_mps, sqrt(2.0 * braking_mps2 * left), left / period_s)
         total = 0.0
         for i in range(3):

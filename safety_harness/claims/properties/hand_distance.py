@@ -1,4 +1,4 @@
-"""Judge that the robot never comes nearer to a hand than a given distance."""
+"""Check that the robot never comes nearer to a hand than a given distance."""
 
 from __future__ import annotations
 
@@ -36,9 +36,10 @@ OF_DISTANCES = (*JOINTS, "transform_tcp_to_base", *OF_HANDS)
 
 
 def _ends(prop: HandDistance, trace: Trace, margin_m: float) -> tuple[float, float, bool]:
-    """Return the margin's ends, as ``reads`` expects, by the errors of distance, joint bend and resolution.
+    """Return the bounds of the margin for ``reads``.
 
-    The lower end covers every moment, and the upper end uses only the distances at the ticks.
+    The bounds allow for the errors of the distances, for joints that do not move linearly, and for the
+    resolution. The lower bound covers every moment, and the upper bound uses only the distances at the ticks.
     """
     at_ticks_m, between_m = distance_moved_m(trace)
     off_m, surely_m = np.maximum(at_ticks_m, between_m), true_motion(trace).nearest_m + at_ticks_m
@@ -51,17 +52,19 @@ def _ends(prop: HandDistance, trace: Trace, margin_m: float) -> tuple[float, flo
 
 @dataclass(frozen=True, kw_only=True)
 class HandDistance(Worded):
-    """The least d(t) - ``minimum_m`` over time, for the distance d of any hand or forearm from any link.
+    """The claim that every hand and forearm stays at least ``minimum_m`` away from every link.
 
-    Distances are from surface to surface. Between two ticks, the margin uses a guaranteed lower bound of the
-    distance. This bound is at most 0.1 mm below the distance for joints that move linearly and hands that
-    turn where their moves or samples turn. The margin also subtracts how far joints (``joint_bend_m``) and
-    hands (``hand_bend_m``) may leave straight lines while their speeds change. The property is violated only
-    if the upper bound of the least distance is below ``minimum_m`` too.
+    The margin is the least value of d(t) - ``minimum_m`` during the run, where d is the least distance
+    between a hand or forearm and a link. Distances are from surface to surface. Between two ticks, the margin
+    uses a guaranteed lower bound of the distance. This bound is at most 0.1 mm too small if the joints move
+    linearly and the hands turn only where their moves or samples turn. The margin is also reduced by the
+    possible deviation from straight motion while speeds change: ``joint_bend_m`` for the joints and
+    ``hand_bend_m`` for the hands. The property is violated only if the upper bound of the least distance is
+    also below ``minimum_m``.
 
-    Rationale: contact with a moving robot is the hazard itself. The limit is a constant form of the
+    Rationale: contact with a moving robot is the hazard itself. The limit is a constant that replaces the
     protective separation distance of ISO/TS 15066. A run exercises the property if a hand comes within
-    ``near_m``, by default ``occasion_m``.
+    ``near_m``, whose default is ``occasion_m``.
     """
 
     minimum_m: float
@@ -90,7 +93,10 @@ class HandDistance(Worded):
 def judged_nearest(
     prop: Property, trace: Trace, nearest: Nearest, limit_m: float, near_m: float, part: str
 ) -> Evaluation:
-    """Judge the least distance of a hand from ``part`` of the arm; a hand within ``near_m`` exercises it."""
+    """Judge the least distance between any hand and ``part``, which describes the arm or a part of the arm.
+
+    A hand within ``near_m`` exercises the property.
+    """
     nearest_m = true_motion(trace).nearest_m
     distance_m = nearest.low_m if nearest.low_m > -np.inf else nearest.high_m
     side = f"{-distance_m * 1e3:.1f} mm inside" if distance_m < 0.0 else f"{distance_m * 1e3:.1f} mm from"
@@ -107,7 +113,7 @@ def judged_nearest(
 
 
 def nearest_hand(trace: Trace) -> Evaluation:
-    """Judge the least distance of any hand from the arm, which contact with one hand violates."""
+    """Judge the least distance of any hand from the arm; contact with a hand violates the property."""
     return HandDistance(minimum_m=0.0, near_m=np.inf).evaluate(trace)
 
 
@@ -116,10 +122,12 @@ HAND_DISTANCE = CatalogueEntry(
     formula="always hand distance >= {}",
     rationale="contact with a moving robot is itself the hazard",
     source="the protective separation distance as a constant",
-    margin="least distance between the surfaces of any hand or forearm and any link, less the "
-    "limit; between ticks a guaranteed bound",
+    margin=(
+        "the least distance of the surface of any hand or forearm from the surface of any "
+        "link, minus the limit. Between ticks, it is a guaranteed lower bound"
+    ),
     parameters="the limit; the sizes of the hands in the settings",
     exercised="a hand comes within 400 mm of the arm's surface, or within twice a limit above 200 mm",
-    inconclusive="a hand is not where its scenario moves it",
-    broken_by="an avoider that heads for the hand, behind a gate that passes everything",
+    inconclusive="a hand deviates from the motion in its scenario",
+    broken_by="an avoider that moves towards the hand, behind a gate that accepts every proposal",
 )

@@ -19,11 +19,12 @@ FILLED = ("track_valid", "predicted_hand_in_base_m")  # what was told then may b
 
 @dataclass(frozen=True, kw_only=True)
 class HandPredictions(Worded):
-    """The least over predictions of ``maximum_m`` less the distance from the nearest true hand at its time.
+    """The claim that every prediction is within ``maximum_m`` of a true hand.
 
-    The prediction at time t is for a hand's centre at t plus the horizon. The true hands at that time are
-    interpolated linearly between two ticks. Each prediction is compared with the nearest true hand.
-    Predictions for times after the run are not compared.
+    The margin is ``maximum_m`` minus the largest distance of a prediction from the nearest true hand at the
+    predicted time. A prediction made at the time t estimates the position of a hand's centre at t plus the
+    horizon. The true hands at that time are interpolated linearly between two ticks. Each prediction is
+    compared with the nearest true hand. Predictions for times after the run are not compared.
     """
 
     maximum_m: float
@@ -60,7 +61,10 @@ class HandPredictions(Worded):
 
 
 def _ends(prop: HandPredictions, trace: Trace) -> tuple[float, float, bool]:
-    """Return the margin's ends, with the true hand anywhere within its error at the predicted time."""
+    """Return the margin's bounds.
+
+    At the predicted time, the true hand may be anywhere within its error.
+    """
     errors_m, known, ticks = prediction_errors_m(trace), trace.known, trace.ticks
     count, ahead = len(errors_m), len(ticks) - len(errors_m)
     hand_m = known.uncertainty_of("hand_position_in_base_m", len(ticks))
@@ -84,9 +88,11 @@ HAND_PREDICTIONS = CatalogueEntry(
     rationale="the arm retreats from the predicted hand, so an error of the prediction is also an "
     "error of the distance",
     source="the paper, eqs. 7 and 8: a Kalman filter for the hand's box, extrapolated by the horizon",
-    margin="the limit less the greatest error of a prediction, which is its distance from the "
-    "nearest true hand at the predicted time. A track without a real hand also has the distance from the "
-    "nearest true hand as its error",
+    margin=(
+        "the limit minus the greatest error of a prediction, which is its distance from the "
+        "nearest true hand at the predicted time. For a track without a real hand, the error "
+        "is also the distance from the nearest true hand"
+    ),
     parameters="the limit; the prediction horizon in the settings",
     exercised="the tracker predicts a hand for a time within the run",
     inconclusive="the scenario has no hand, or the tracker follows none",

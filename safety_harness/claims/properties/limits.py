@@ -1,4 +1,4 @@
-"""Judge that the arm keeps its limits: joint positions, and speeds and accelerations of joints and TCP."""
+"""Check that joint positions, and the speeds and accelerations of joints and TCP, keep their limits."""
 
 from __future__ import annotations
 
@@ -37,7 +37,11 @@ SPEED = "tcp_speed_mps"
 
 
 def _ends_by(error_of: ErrorOf, speed: str = "", place: str = "") -> Ends:
-    """Return ``ends`` for ``reads`` by a margin's error; motion of ``speed`` or ``place`` exercises it."""
+    """Return the function ``ends`` that the decorator ``reads`` requires.
+
+    The returned function computes bounds of the margin: it subtracts the error from the margin, and adds the
+    error to the margin. Motion in the column ``speed`` or ``place`` exercises the claim.
+    """
 
     def ends(prop: object, trace: Trace, margin: float) -> tuple[float, float, bool]:
         error = float(error_of(trace)[2])
@@ -50,7 +54,10 @@ def _ends_by(error_of: ErrorOf, speed: str = "", place: str = "") -> Ends:
 
 @dataclass(frozen=True, kw_only=True)
 class JointLimits:
-    """The least angle, over time and joints, that is left to the nearer position limit of the URDF."""
+    """The claim that every joint stays within the position limits of the URDF.
+
+    The margin is the least angle between a joint and its nearer limit, over time and joints.
+    """
 
     unit: Unit = Unit.ANGLE
     sentence: str = "joint positions within limits"
@@ -67,11 +74,12 @@ class JointLimits:
 
 @dataclass(frozen=True, kw_only=True)
 class JointSpeedLimits:
-    """The least speed, over time and joints, that is left to the velocity limit of the URDF.
+    """The claim that every joint stays below the velocity limit of the URDF.
 
-    The speeds at the ticks and the mean speeds |q_(k+1) - q_k|/dt between ticks k and k+1 both count. An
-    excess is uncertain if it is at most the solver's error in following a commanded speed
-    (``known_to_radps``).
+    The margin is the least difference between a joint's limit and its speed, over time and joints. The speeds
+    at the ticks are considered, and the mean speeds |q_(k+1) - q_k|/dt between the ticks k and k+1. An excess
+    is uncertain if it is not larger than ``known_to_radps``, the error with which the world's solver follows
+    a commanded speed.
     """
 
     unit: Unit = Unit.ANGULAR_SPEED
@@ -81,12 +89,15 @@ class JointSpeedLimits:
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every joint at every tick.
 
-        A mean speed that exceeds the limit by at most the rounding of its difference counts as the limit.
+        If a mean speed exceeds the limit by no more than its rounding error, the mean speed is set to the
+        limit.
         """
         arm, (speed_radps, mean_radps) = arm_model(trace.scenario.robot), joint_speeds_radps(trace)
         limit_radps = arm.velocity_limit_radps
         if (mean_radps > limit_radps).any():
             far, time_s = np.abs(history(trace, POSITION)), trace.time_s[:, None]
+            # A mean speed is a difference of positions over a difference of times, both rounded. Drives at
+            # their limit must not violate it by that rounding.
             rounding = far[:-1] + far[1:] + 2.0 * mean_radps * time_s[1:]
             rounding = limit_radps + EPSILON * rounding / np.diff(time_s, axis=0)
             mean_radps = np.where(mean_radps <= rounding, np.minimum(mean_radps, limit_radps), mean_radps)
@@ -108,9 +119,11 @@ class JointSpeedLimits:
 
 @dataclass(frozen=True, kw_only=True)
 class TcpSpeedLimit(Worded):
-    """The least ``maximum_mps`` - |v_tcp| over time, at the ticks and for the mean speed between them.
+    """The claim that the TCP's speed never exceeds ``maximum_mps``.
 
-    ISO 10218-1 states 250 mm/s as the reduced speed at which a person may be near.
+    The margin is the least ``maximum_mps`` - |v_tcp| over time. The speeds at the ticks and the mean speeds
+    between the ticks are considered. ISO 10218-1 states 250 mm/s as the reduced speed at which a person may
+    be near.
     """
 
     maximum_mps: float
@@ -130,7 +143,7 @@ JOINT_POSITIONS = CatalogueEntry(
     prop=JointLimits(),
     rationale="an arm at a mechanical or safety-rated stop no longer moves as its controller commands",
     source="the robot's URDF",
-    margin="angle between a joint and its nearer limit, least over joints and time",
+    margin="the angle between a joint and its nearer limit; the least value over joints and time",
     parameters="the limits of the robot's description",
     exercised="always",
     broken_by="a controller that keeps turning a joint",
@@ -140,8 +153,10 @@ JOINT_SPEEDS = CatalogueEntry(
     prop=JointSpeedLimits(),
     rationale="above these limits the drives no longer follow the commands",
     source="the robot's URDF",
-    margin="the limit less the speed of a joint, least over joints and time; the mean speed between "
-    "ticks is checked too",
+    margin=(
+        "the limit minus the speed of a joint; the least value over joints and time. The mean "
+        "speed between ticks is also checked"
+    ),
     parameters="the limits of the robot's description",
     exercised="the arm moves",
     inconclusive="a speed exceeds the limit by no more than the error with which the world's motors "
@@ -154,8 +169,10 @@ TCP_SPEED = CatalogueEntry(
     formula="always TCP speed <= {}",
     rationale="a person beside the robot can still step back if it moves at reduced speed",
     source="the reduced speed at which a person may be near",
-    margin="the limit less the speed of the TCP, least over time; the mean speed between ticks is "
-    "checked too",
+    margin=(
+        "the limit minus the speed of the TCP; the least value over time. The mean speed "
+        "between ticks is also checked"
+    ),
     parameters="the limit",
     exercised="the arm moves",
     broken_by="a controller that turns a joint too fast",
@@ -164,7 +181,10 @@ TCP_SPEED = CatalogueEntry(
 
 @dataclass(frozen=True, kw_only=True)
 class JointAccelerations(Worded):
-    """The least of ``maximum_radps2`` less a joint's mean acceleration from tick to tick."""
+    """The claim that no joint's mean acceleration from tick to tick exceeds ``maximum_radps2``.
+
+    The margin is ``maximum_radps2`` minus the largest of these accelerations.
+    """
 
     maximum_radps2: float
     unit: Unit = Unit.ANGULAR_ACCELERATION
@@ -193,10 +213,10 @@ class JointAccelerations(Worded):
 
 @dataclass(frozen=True, kw_only=True)
 class TcpAcceleration(Worded):
-    """The least of ``maximum_mps2`` less the TCP's mean acceleration from tick to tick.
+    """The claim that the TCP's mean acceleration from tick to tick never exceeds ``maximum_mps2``.
 
-    The TCP's velocity at a tick follows from the joints by the Jacobian. Ticks at which the TCP moves
-    exercise the claim.
+    The margin is ``maximum_mps2`` minus the largest of these accelerations. The TCP's velocity at a tick is
+    computed from the joints with the Jacobian. Ticks at which the TCP moves exercise the claim.
     """
 
     maximum_mps2: float
@@ -219,8 +239,8 @@ class TcpAcceleration(Worded):
 JOINT_ACCELERATIONS = CatalogueEntry(
     prop=JointAccelerations(maximum_radps2=np.radians(500.0)),
     rationale="a joint that jerks shakes the camera and the tool, and wears its gear",
-    source="a limit of one's own: the robot's description has none",
-    margin="the limit less the largest mean acceleration of a joint from tick to tick",
+    source="the user's own limit, because the robot's description has no such limit",
+    margin="the limit minus the largest mean acceleration of a joint from tick to tick",
     parameters="the limit; the control period in the settings",
     exercised="a joint turns",
     inconclusive="the run has only one tick",
@@ -230,8 +250,8 @@ JOINT_ACCELERATIONS = CatalogueEntry(
 TCP_ACCELERATION = CatalogueEntry(
     prop=TcpAcceleration(maximum_mps2=2.0),
     rationale="a person beside the arm can follow a motion that begins gently",
-    source="a limit of one's own; the settings demand at most 1 m/s2 of the arm",
-    margin="the limit less the largest mean acceleration of the TCP from tick to tick",
+    source="the user's own limit; the settings ask the arm for at most 1 m/s2",
+    margin="the limit minus the largest mean acceleration of the TCP from tick to tick",
     parameters="the limit; the control period in the settings",
     exercised="the TCP moves",
     inconclusive="the run has only one tick",

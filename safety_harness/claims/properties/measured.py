@@ -1,9 +1,10 @@
-"""Evaluate a property on a trace that was measured in part, by the columns that the property reads.
+"""Evaluate a property on a partly measured trace; each property states the columns that it reads.
 
-A property never guesses: if it reads a column that was not measured, the verdict is inconclusive and names
-the column. In three cases there is still a verdict. A violation before a column's first gap stays a
-violation. If the property is about each hand alone, a violation by measured hands stays a violation, whatever
-other hands did. A verdict stays if all values within the columns' uncertainty lead to it.
+A property never guesses a missing value: if the property reads a column that was not measured, the verdict is
+inconclusive and the reason states the column. In three cases there is still a verdict. A violation before a
+column's first gap stays a violation. If a property treats each hand separately, a violation by a measured
+hand remains a violation, independently of the hands that were not measured. A verdict also remains if it is
+the same for all values within the uncertainty of the columns.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ from safety_harness.trace.unmeasured import until
 
 Judge = TypeVar("Judge", bound=Callable[[Any, Trace], Evaluation])
 Ends = Callable[[Any, Trace, float], tuple[float, float, bool]]
+# A choice: so far away that a hand decides no claim.
 FAR_M = (100.0, 0.0, 0.0)
 WITHOUT_ARMS = {"elbow_position_in_base_m", "hand_distance_m", "hand_distance_capsule"}  # the rest is hands
 
@@ -54,17 +56,17 @@ def reads(
 ) -> Callable[[Judge], Judge]:
     """Return a decorator for an ``evaluate`` that reads only these columns.
 
-    With any column of hands, it also reads whether each hand is there.
+    If ``finite`` has a column of hands, ``evaluate`` also reads which hands are present.
 
     Args:
         finite: Columns that make the verdict inconclusive if they are not finite.
-        also: Other columns that ``evaluate`` reads.
+        also: Further columns that ``evaluate`` reads; they may contain values that are not finite.
         bounded: Columns that need not be measured, since ``ends`` covers all their possible values.
         filled: Columns that may have gaps, since ``ends`` covers the gaps.
-        of_each_hand: Whether a violation by some of the hands is a violation whatever the others do.
-        ends: The function that returns the least and the largest possible margin (SI) by the columns'
-            uncertainty. It also returns whether the property was certainly exercised. Without it, an
-            uncertain column gives no verdict.
+        of_each_hand: Whether a violation by some of the hands is a violation, whatever the other hands do.
+        ends: The function that returns the least and the largest margin (SI) that are possible within the
+            uncertainty of the columns. It also returns whether the property was certainly exercised. Without
+            it, an uncertain column gives no verdict.
 
     """
     there = [PRESENCE] if {*finite} & {*OF_HANDS} else []
@@ -88,7 +90,7 @@ def reads(
 
 
 def columns_read_by(prop: Property) -> tuple[str, ...] | None:
-    """Return the columns that ``prop`` reads; None if it does not state them."""
+    """Return the columns that ``prop`` reads, or None if it does not state them."""
     columns = getattr(prop, "reads", getattr(prop.evaluate, "reads", None))
     return None if columns is None else tuple(columns)
 
@@ -96,9 +98,10 @@ def columns_read_by(prop: Property) -> tuple[str, ...] | None:
 def not_measured(
     prop: Said, columns: Sequence[str], detail: str = "", known: Knowledge | None = None
 ) -> Evaluation:
-    """Return inconclusive for lack of ``columns``; ``detail`` tells more exactly what was not measured.
+    """Return an inconclusive evaluation, because the columns ``columns`` were not measured.
 
-    The reason is "not reported" if the run's controller, by ``known``, reports none of them.
+    ``detail`` is a text that describes more exactly which parts are missing. The reason is "not reported" if
+    ``known`` shows that the run's controller does not report these columns.
     """
     text = detail or ", ".join(columns)
     unreported = known is not None and known.unreported(columns)
@@ -108,7 +111,10 @@ def not_measured(
 
 @dataclass(frozen=True)
 class _Judging:
-    """An evaluation ``plain`` that reads the columns ``names``; the other fields are those of ``reads``."""
+    """A property's function ``plain``, together with ``names``, the columns that it reads.
+
+    The other fields are the arguments of ``reads``.
+    """
 
     plain: Callable[[Property, Trace], Evaluation]
     names: tuple[str, ...]
@@ -118,7 +124,10 @@ class _Judging:
     ends: Ends | None
 
     def evaluate(self, prop: Property, trace: Trace) -> Evaluation:
-        """Judge the whole trace or, if columns are lacking, its measured parts for a violation."""
+        """Judge the whole trace.
+
+        If measurements are missing, the method only finds violations in the measured parts.
+        """
         known = trace.known
         limited = [name for name in self.names if known.column(name).limited]
         lacking = [
@@ -143,7 +152,11 @@ class _Judging:
     def _widened(
         self, evaluation: Evaluation, prop: Property, trace: Trace, limited: Sequence[str]
     ) -> Evaluation:
-        """Return the verdict and certain margin that all possible values share, or inconclusive."""
+        """Return the verdict if all possible values agree on it, and otherwise inconclusive.
+
+        If there is a verdict, the margin of the result is the worst possible margin for *holds*, and the best
+        possible margin for *violated*.
+        """
         if evaluation.verdict is Verdict.INCONCLUSIVE and self.ends is not None and not self.filled:
             return evaluation
         low, high, exercised = -inf, inf, False
@@ -167,7 +180,7 @@ class _Judging:
 
 
 def _lack(trace: Trace, name: str) -> str:
-    """Return words on which part of the column ``name`` is missing."""
+    """Return a text that says which part of the column ``name`` is missing."""
     first = trace.known.first_gap([name])
     if trace.known.missing([name]) or first is None:
         return name
@@ -183,7 +196,10 @@ def _time_s(trace: Trace, tick: int) -> float:
 
 
 def _pieces(trace: Trace, lacking: Sequence[str], of_each_hand: bool) -> Iterator[tuple[str, Trace]]:
-    """Yield named, wholly measured parts: until the first gap, hands without gaps, hands without forearms."""
+    """Yield the names of the completely measured parts of a trace, and these parts.
+
+    The parts are the time until the first gap, the hands without gaps, and the hands without their forearms.
+    """
     known, hands = trace.known, trace.scenario.hands
     gap = known.first_gap(lacking)
     if gap is not None and gap.first > 0:
@@ -210,7 +226,10 @@ def _pieces(trace: Trace, lacking: Sequence[str], of_each_hand: bool) -> Iterato
 
 
 def _without(trace: Trace, lost: set[int]) -> Trace:
-    """Return the trace with the hands ``lost`` at rest far away, and without hands beyond the scenario's."""
+    """Return a trace in which the hands ``lost`` rest at a place far from the robot.
+
+    Hands that the scenario does not have are removed.
+    """
     hands, ticks = list(trace.scenario.hands), trace.ticks.copy()
     ticks["hand_present"] = np.arange(ticks["hand_present"].shape[1]) < len(hands)
     for k in lost:
@@ -231,8 +250,12 @@ def _without(trace: Trace, lost: set[int]) -> Trace:
 
 
 def _without_arms(trace: Trace) -> Trace:
-    """Return the trace with hands that are spheres without forearms, and with these hands' distances."""
+    """Return the trace with hands that are spheres without forearms.
+
+    The distances of the hands are computed again.
+    """
     scenario, ticks = trace.scenario, trace.ticks.copy()
+    # A forearm of length 0 inside the hand's sphere changes no distance.
     sphere = replace(
         scenario.settings.hand,
         forearm_length_m=0.0,
@@ -261,10 +284,12 @@ def _without_arms(trace: Trace) -> Trace:
 
 
 def only_whole(*columns: str, of_any: bool = False) -> Callable[[Judge], Judge]:
-    """Return a decorator for an ``evaluate`` that needs the whole run, as later ticks may change the verdict.
+    """Return a decorator for an ``evaluate`` that needs the whole run.
 
-    The result is inconclusive if any of ``columns``, or of its own ``reads``, was not measured throughout. If
-    the claim is ``of_any`` system, a simulated run's controller need not report all of them.
+    If ``evaluate`` judged only a part of the run, the later ticks could change its verdict. The result is
+    inconclusive if any of the columns has a gap or is missing. The columns are ``columns`` and all columns
+    that ``evaluate`` reads. If ``of_any`` is True, the claim applies to every kind of controller, so columns
+    that the controller of a simulated run does not report are accepted.
     """
 
     def decorate(evaluate: Judge) -> Judge:
@@ -284,5 +309,8 @@ def only_whole(*columns: str, of_any: bool = False) -> Callable[[Judge], Judge]:
 
 
 def unexercised(prop: Said, lacked: str) -> Evaluation:
-    """Return inconclusive, as the claim was never exercised; ``lacked`` tells what was missing."""
+    """Return an inconclusive evaluation, because the claim was never exercised.
+
+    ``lacked`` states the missing event.
+    """
     return inconclusive(prop, f"never exercised: {lacked}")

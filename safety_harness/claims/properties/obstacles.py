@@ -1,4 +1,4 @@
-"""Judge that the arm keeps away from the boxes in its cell."""
+"""Check that the arm keeps away from the boxes in its cell."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from safety_harness.trace.trace import Trace
 
 @dataclass(frozen=True, kw_only=True)
 class ObstacleDistance(Worded):
-    """The least distance of any moving link from any obstacle, less ``minimum_m``.
+    """The claim that no moving link comes nearer to an obstacle than ``minimum_m``.
 
-    Between ticks, ``least_along`` gives bounds of the distance. The claim is violated only if the upper bound
-    of the least distance is below ``minimum_m`` too. Every tick of a scenario with an obstacle exercises the
-    claim.
+    The margin is the least distance of any moving link from any obstacle, less ``minimum_m``. Between ticks,
+    ``least_along`` returns bounds of the distance. The claim is violated only if the upper bound of the least
+    distance is also below ``minimum_m``. Every tick of a scenario with an obstacle exercises the claim.
     """
 
     minimum_m: float
@@ -52,13 +52,16 @@ class ObstacleDistance(Worded):
 
 OBSTACLE_DISTANCE = CatalogueEntry(
     prop=ObstacleDistance(minimum_m=0.02),
-    rationale="an arm that runs into a fixture stops there or breaks the fixture, and crushes what is "
-    "in between",
+    rationale=(
+        "an arm that runs into a fixture stops there or breaks the fixture, and crushes anything in between"
+    ),
     source="the project's own; capsules as for the hand distance",
-    margin="least distance between the surfaces of any link except the base and any obstacle, less "
-    "the limit; between ticks a lower bound",
+    margin=(
+        "the least distance of the surface of any link, except the base, from the surface of "
+        "any obstacle, minus the limit. Between ticks, it is a lower bound"
+    ),
     parameters="the limit; the scenario's obstacles",
     exercised="the scenario has an obstacle",
     scenario="box-beside-the-way",
-    broken_by="the visual servo, which ignores obstacles, with an obstacle on its way",
+    broken_by="the visual servo, which ignores obstacles, with an obstacle on its path",
 )

@@ -1,4 +1,4 @@
-"""Judge any controller by the motion of arm and hands alone: whether the arm stays, and reacts in time."""
+"""Judge by motion alone whether the arm keeps its place, and whether it reacts to hands in time."""
 
 from __future__ import annotations
 
@@ -41,16 +41,18 @@ TINY_MPS = TINY_M = 1e-6  # nothing moves so slowly, or is so near
 
 @dataclass(frozen=True, kw_only=True)
 class KeepsItsPlace(Worded):
-    """``within_m`` less how far the TCP goes from its place or from the desired position without a hand.
+    """The claim that the TCP moves away from its place or the desired position only if a hand is near.
 
-    An arm holds its place once it has stayed within the limit of that place for a second. In that second, and
-    before it for as long as a retreat takes, no true hand may be *near*. A hand is near if a correct
-    prediction of it can be within the critical distance (``NoFalseAlarms``). Until a hand is near again, two
-    ways count. The first is the farthest distance from the desired position less the nearest distance before
-    it. The second is the way from where the TCP reached its present place, less the part of that way towards
-    the desired position. When the TCP has come nearer to the desired position by the limit, it has reached
-    another place. So an arm that moves towards the desired position keeps its place, and an arm that circles
-    about it does not. Only positions count, not angles.
+    The margin is ``within_m`` minus the distance by which the TCP moves away without a near hand. The arm has
+    a place once the TCP has stayed for one second within ``within_m`` of one position. No true hand may be
+    *near* during this second. Also, no hand may have been *near* before this second for as long as a retreat
+    lasts. A hand is *near* if a correct prediction of its position can be within the critical distance
+    (``NoFalseAlarms``). Until a hand is near again, the claim measures two distances. The first is by how
+    much the TCP's distance from the desired position exceeds its least value so far. The second is the TCP's
+    distance from the point at which it reached its place, minus the progress towards the desired position
+    since that time. When the TCP has come nearer to the desired position by the limit, it has reached a new
+    place. So an arm that moves towards the desired position keeps its place, whereas an arm that circles
+    around the desired position does not keep its place. Only positions matter, not angles.
     """
 
     within_m: float
@@ -59,7 +61,7 @@ class KeepsItsPlace(Worded):
 
     @reads("transform_tcp_to_base", "hand_position_in_base_m", ends=lambda prop, trace, _: prop.ends(trace))
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge every stretch of the run without a near hand."""
+        """Judge every stretch of the run in which no hand is near."""
         worst_m, tick, held = self._worst(trace)
         reason = f"{1e3 * worst_m:.2f} mm from its place or from the desired position, with no hand near"
         free = (nearest_hand_m(trace) > NoFalseAlarms().limit_m(trace.scenario.settings)).any()
@@ -69,7 +71,11 @@ class KeepsItsPlace(Worded):
         return judged(self, trace, left_m, trace.time_s[tick], reason, held, lambda: lacked)
 
     def _worst(self, trace: Trace, farther_m: float = 0.0) -> tuple[float, int, int]:
-        """Return how far it went, when, and how often it held, with hands farther by ``farther_m`` errors."""
+        """Return the largest distance by which the TCP left its place, and the tick of that distance.
+
+        The third result is how often the arm had a place. The function adds ``farther_m`` times the error of
+        the hands' distances to the hands' distances.
+        """
         period_s = trace.scenario.settings.clock.control_period_s
         left, held = (round(time_s / period_s) for time_s in (retreat_s(trace), HELD_S))
         errors_m, tcp_m = position_errors_m(trace), true_motion(trace).tcp_m
@@ -95,24 +101,31 @@ class KeepsItsPlace(Worded):
         return worst_m + slack_m, worst, len(margins)
 
     def ends(self, trace: Trace) -> tuple[float, float, bool]:
-        """Return the margin's ends, as ``reads`` expects: with hands as far as possible, and as near."""
+        """Return the margin's bounds for ``reads``.
+
+        The lower bound is for hands that are as far away as possible, and the upper bound is for hands that
+        are as near as possible.
+        """
         (most_m, _, _), (least_m, _, held) = self._worst(trace, 1.0), self._worst(trace, -1.0)
         return self.within_m - most_m, self.within_m - least_m, held > 0
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReactsWithin(Worded):
-    """``within_s`` less the longest time from a hand's approach to the arm's reaction.
+    """The claim that the arm reacts to each hand within ``within_s``.
 
-    The claim judges each true hand separately, each time that it comes within the critical distance of a
-    moving TCP. The arm reacts when its drives brake, or when its motion begins a sufficient change. The
-    change suffices if the arm soon has half the speed that it would have had without the hand. It also
-    suffices if the arm moves away from the hand faster by half of its speed. Without a hand, the arm would
-    have slowed down as before, and on arrival at the desired position, so an arrival is not a reaction. An
-    approach does not count if the arm reacted to that hand in the half second before. Nor does it count if
-    the arm leaves the hand at half the speed of a retreat, or more slowly while it is not on its way to the
-    desired position. A hand that leaves too early, or a run that ends too early, is not evidence. A stop or a
-    retreat counts from its beginning.
+    The margin is ``within_s`` minus the longest time from a hand's approach to the arm's reaction. Each true
+    hand is judged separately, and so is each of its approaches, that is, each time at which the hand comes
+    within the critical distance of a moving TCP. The arm reacts when its drives brake, or when its motion
+    begins to change sufficiently. The change is sufficient if the arm soon has half the speed that it would
+    have had without the hand. It is also sufficient if the arm's speed away from the hand rises by half of
+    the arm's speed. For this comparison, the arm without the hand is assumed to continue its deceleration,
+    and to slow down when it arrives at the desired position. So an arrival is not a reaction. An approach is
+    ignored if the arm reacted to that hand in the half second before. An approach is also ignored if the arm
+    already moves away from the hand with at least half the speed of a retreat. If the arm does not approach
+    the desired position at that time, any speed away from the hand is sufficient for ignoring the approach. A
+    hand that leaves too early, or a run that ends too early, is not evidence. The time of a reaction is the
+    beginning of the stop or the retreat.
     """
 
     within_s: float
@@ -121,7 +134,7 @@ class ReactsWithin(Worded):
 
     @reads("transform_tcp_to_base", "hand_position_in_base_m", also=["limits"], of_each_hand=True)
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge each time that a hand comes near."""
+        """Judge each approach of a hand."""
         hands = range(len(trace.scenario.hands))
         encounters = [encounter for hand in hands for encounter in self._encounters(trace, hand)]
         if not encounters:
@@ -142,7 +155,10 @@ class ReactsWithin(Worded):
         return inconclusive(self, why, exercised=len(decided))
 
     def _encounters(self, trace: Trace, hand: int) -> Iterator[tuple[int, int, bool]]:
-        """Yield (ticks until the reaction, tick of the hand's approach, whether it is known) by encounter."""
+        """Yield the approaches of a hand.
+
+        Each entry is (ticks until the reaction, tick of the approach, whether the reaction is known).
+        """
         settings, ticks = trace.scenario.settings, trace.ticks
         period_s, tcp_m = settings.clock.control_period_s, true_motion(trace).tcp_m
         last, halved = len(ticks) - 1, round(HALVED_S / period_s)
@@ -180,10 +196,10 @@ class ReactsWithin(Worded):
 
 
 def _began(change: NDArray[np.float64], soon: int) -> int | None:
-    """Return the tick at which ``change`` (n,) begins to rise to HALF, the knee below its chord; else None.
+    """Return the tick at which ``change`` (n,) begins to rise to HALF, or None if it stays below HALF.
 
-    It is at most ``soon`` ticks before HALF, because a slower change, such as a wide curve, is not a
-    reaction.
+    This tick is the knee of the curve, which lies farthest below the chord. The tick is at most ``soon``
+    ticks before HALF, because a slower change, such as a wide curve, is not a reaction.
     """
     end = int(np.argmax(change >= HALF))
     if not change[end] >= HALF:
@@ -195,23 +211,28 @@ def _began(change: NDArray[np.float64], soon: int) -> int | None:
 KEEPS_ITS_PLACE = CatalogueEntry(
     prop=KeepsItsPlace(within_m=0.005),
     rationale="people approach an arm that stands still, and do not expect it to drift",
-    source="the project's own; by motion, whatever mode is reported",
-    margin="the limit less the largest distance by which the TCP moves from its place or away from "
-    "the desired position while no hand is near",
+    source="the project's own; judged by the motion, whatever mode the controller reports",
+    margin=(
+        "the limit minus the largest distance by which the TCP moves from its place or away "
+        "from the desired position while no hand is near"
+    ),
     parameters="the limit; critical distance, prediction horizon and retreat in the settings",
-    exercised="no hand is near, nor was one near shortly before (the time of a retreat), and the TCP "
-    "stays within the limit for 1 s",
+    exercised="for the time of a retreat no hand has been near, and the TCP stays within the limit for 1 s",
     scenario="servoing-alone",
     broken_by="a controller that drifts",
 )
 REACTS = CatalogueEntry(
     prop=ReactsWithin(within_s=0.12),
     rationale="an arm must slow down or retreat when a hand comes near, whatever mode its controller reports",
-    source="the reaction time T_r, by motion and drives, of each hand apart",
-    margin="the time allowed less the longest time until the drives brake, or the TCP slows down or retreats",
+    source="the reaction time T_r for each hand, judged by the motion and the drives of the arm",
+    margin=(
+        "the time allowed minus the longest time until the drives brake, or the TCP slows down or retreats"
+    ),
     parameters="the time; the critical distance and the speed of a retreat in the settings",
     exercised="a true hand comes within the critical distance of a TCP that moves and does not yet retreat",
-    inconclusive="the hand leaves, or the run ends, before a reaction could be recognised; an uncertain log",
+    inconclusive=(
+        "the hand leaves or the run ends before a reaction could be recognised, or the log is uncertain"
+    ),
     scenario="hand-stays",
     broken_by="a controller that stops too late",
 )

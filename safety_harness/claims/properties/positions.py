@@ -1,7 +1,8 @@
-"""Judge positions to retreat to: whether the arm can reach them, and whether it went there or stopped.
+"""Judge retreat positions.
 
-The functions do not trust the gate's own notes. They compute again the opposite pose, and whether a position
-was usable. A claim of its own judges whether positions are reachable.
+The functions find out whether the arm can reach a position, whether the arm went there, and whether it
+stopped instead. The functions do not rely on the gate's own records. They compute again the opposite pose and
+whether a position was usable. A separate claim judges whether positions are reachable.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from safety_harness.trace.known import OF_DECISIONS
 from safety_harness.trace.records import DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace, once_a_trace
 
+# A choice, five times finer than the gate's own step.
 WAY_STEP_M = 0.005
 STOP_SLACK_M = 0.002  # of way, and of time
 STOP_GRACE_TICKS = 3  # the drives lag behind their ramp
@@ -38,9 +40,9 @@ BEYOND_M = 0.100  # how far beyond the position the search for reachable points 
 
 
 def opposite_position(trace: Trace, decision: np.void) -> NDArray[np.float64]:
-    """Return (3,) the position a radius from the TCP, away from the nearest predicted hand; NaN if undefined.
+    """Return the position (3,) a radius away from the TCP, opposite to the nearest predicted hand.
 
-    The settings give the radius.
+    The position is NaN if it is undefined. The settings give the radius.
     """
     tick = trace.ticks[decision["tick"]]
     tcp_in_base = tick["transform_tcp_to_base"][:3, 3]
@@ -58,12 +60,13 @@ def opposite_position(trace: Trace, decision: np.void) -> NDArray[np.float64]:
 
 
 def spare_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.float64]) -> float:
-    """Return the least reserve [m] of ``position_in_base_m`` (3,); negative if the arm cannot use it.
+    """Return the reserve [m] of ``position_in_base_m`` (3,), which is negative if the arm cannot use it.
 
-    It is the least of four reserves. The reach counts beyond the gate's 10 mm, and the height above the least
-    height of a TCP. The way counts by its component that leads away from each predicted hand. The fourth
-    reserve is the least clearance along the way, of the wrist from the body and of the arm from the cell's
-    boxes. It counts beyond the gate's 20 mm or, if that is less, beyond its value at the start. The result is
+    The result is the least of four reserves. The first is the distance that the arm could go beyond the
+    position, minus the gate's reserve of 10 mm. The second is the height above the least height of a TCP. The
+    third is the component of the way that leads away from a predicted hand. The fourth is the least clearance
+    along the way: of the wrist from the body, and of the arm from the cell's boxes. This clearance is reduced
+    by 20 mm, as in the gate, or by the clearance at the start of the way, whichever is less. The result is
     NaN if a prediction is not finite.
     """
     settings, tick = trace.scenario.settings, trace.ticks[decision["tick"]]
@@ -96,10 +99,11 @@ def gone_towards(
     after_ticks: int,
     shares: Shares = MODEST,
 ) -> RepulsionProgress | None:
-    """Return the progress of the repulsion of decision ``number`` beside a reference towards a target.
+    """Return the progress of the repulsion of decision ``number``, compared with a new reference.
 
-    The reference heads for ``target_in_base_m`` (3,).  It begins ``after_ticks`` after the decision, with the
-    TCP's place and velocity then.  The result is None if the repulsion was over by then.
+    The reference heads for the target ``target_in_base_m`` (3,). The reference begins ``after_ticks`` after
+    the decision, with the position and the velocity that the TCP then has. The result is None if the
+    repulsion was over at that time.
     """
     last = last_tick(trace, number)
     decision = trace.decisions[number : number + 1].copy()
@@ -111,10 +115,10 @@ def gone_towards(
 
 
 def stopped_m(trace: Trace, tick: int) -> float:
-    """Return how much longer [m] the way of a protective stop from ``tick`` may be than the TCP's way.
+    """Return the allowed travel [m] of the TCP in a protective stop from ``tick``, minus its actual travel.
 
-    The allowed way is v T_r + v T_s/2 at the speed v of that tick, plus a control period's way and 2 mm. The
-    TCP's way counts during T_r + T_s, and as long as the controller reports a stop.
+    The allowed distance is v T_r + v T_s/2 for the speed v at that tick, plus one control period's distance
+    and 2 mm. The TCP's motion is measured during T_r + T_s, and for as long as the controller reports a stop.
     """
     braking, period_s = trace.scenario.settings.braking, trace.scenario.settings.clock.control_period_s
     speed_mps = float(trace.ticks["tcp_speed_mps"][tick])
@@ -130,13 +134,13 @@ def stopped_m(trace: Trace, tick: int) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class RepulsivePosesReachable:
-    """The claim that inverse kinematics can reach every repulsive position along the straight way there.
+    """The claim that the arm can reach every repulsive position along the straight way from the TCP.
 
-    The margin of a decision is how far the arm could go beyond the position, straight on along the line from
-    the TCP. It must move continuously, within its joint limits and away from singularities; the search ends
-    at 100 mm. If the arm cannot reach the position, the margin is minus the missing distance. With
-    ``proposed``, the claim judges the avoider's proposal, and otherwise the system's choice after its checks.
-    The way begins at the arm's true position.
+    The margin of a decision is how far the arm could go beyond the position, along the straight line from the
+    TCP. The arm must move continuously, within its joint limits and away from singularities. The search ends
+    at 100 mm. If the arm cannot reach the position, the margin is minus the missing distance. If ``proposed``
+    is True, the claim judges the avoider's proposal. Otherwise it judges the system's choice after its
+    checks. The way begins at the true position of the TCP, computed from the true joints.
 
     Source: table 4 of the paper, which counts positions "out of the reach range of the robot".
     """
@@ -151,7 +155,7 @@ class RepulsivePosesReachable:
 
     @property
     def reads(self) -> tuple[str, ...]:
-        """Return the columns that the claim reads, with either the proposed or the chosen position."""
+        """Return the columns that the claim reads, including the proposed or the chosen position."""
         positions = (
             ("proposed_position_in_base_m",) if self.proposed else ("chosen_position_in_base_m", "outcome")
         )
@@ -184,10 +188,11 @@ def _judging(names: tuple[str, ...]) -> Callable[[RepulsivePosesReachable, Trace
 
 
 def reach_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.float64]) -> float:
-    """Return how far [m] the arm can go straight on beyond a position; minus the radius without a position.
+    """Return how far [m] the arm can continue in a straight line beyond a position.
 
-    The way begins at the arm's true position at the decision, and leads through ``position_in_base_m`` (3,).
-    Several claims share the results.
+    If there is no position, the result is minus the radius of the retreat. The way begins at the arm's true
+    position at the decision, and leads through ``position_in_base_m`` (3,). The results are stored, because
+    several claims need them.
     """
     if not is_somewhere(position_in_base_m):
         return -trace.scenario.settings.avoidance.radius_m
@@ -201,15 +206,15 @@ def reach_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.floa
 
 @once_a_trace
 def _reaches_m(_: Trace) -> dict[tuple[int, bytes], float]:
-    """Return the trace's results of ``reach_m`` that are known so far, by tick and position."""
+    """Return the stored results of ``reach_m`` for the trace, by tick and position."""
     return {}
 
 
 def _beyond_m(trace: Trace, joints_rad: NDArray[np.float64], displacement: NDArray[np.float64]) -> float:
-    """Return how far [m] the arm can go beyond the end of ``displacement`` (3,), negative if it stops short.
+    """Return how far [m] the arm can go beyond the end of ``displacement`` (3,).
 
-    The arm begins at ``joints_rad`` (6,). The result is at most 0.1 mm too small, but never below zero if the
-    arm can reach the end.
+    The result is negative if the arm cannot reach the end. The arm begins at ``joints_rad`` (6,). The result
+    is at most 0.1 mm too small, but never below zero if the arm can reach the end.
     """
     length_m = length(displacement)
     if length_m == 0.0:
@@ -229,20 +234,24 @@ def _beyond_m(trace: Trace, joints_rad: NDArray[np.float64], displacement: NDArr
 REPULSIVE_POSES = CatalogueEntry(
     prop=RepulsivePosesReachable(proposed=False),
     pattern=r"(?:repulsive|retreat) poses reachable",
-    rationale="the arm cannot retreat to a position out of reach, but stops on the way, near the hand",
+    rationale="an arm that retreats to a position out of reach stops on the way, near the hand",
     source="the paper, table 4",
-    margin="how far beyond the chosen position the straight way remains reachable within the joint "
-    "limits and away from singularities (the search ends at 100 mm). If the position is out of reach, "
-    "minus the missing part of the way",
+    margin=(
+        "the distance beyond the chosen position over which the straight path remains "
+        "reachable, within the joint limits and away from singularities (at most 100 mm). If "
+        "the position is out of reach, the margin is minus the missing part of the path"
+    ),
     parameters="the least singular value in the settings",
     exercised="the controller chose a position",
-    broken_by="an avoider that proposes a position two metres away, behind a gate that passes everything",
+    broken_by=(
+        "an avoider that proposes a position two metres away, behind a gate that accepts every proposal"
+    ),
 )
 PROPOSED_POSES = replace(
     REPULSIVE_POSES,
     prop=RepulsivePosesReachable(proposed=True),
     pattern=r"proposed (?:repulsive|retreat) poses reachable",
-    margin="the same for the position that the avoider proposed, before the gate",
+    margin="the same distance, but for the position that the avoider proposed, before the gate",
     exercised="the controller made a decision",
     broken_by="an avoider that proposes a position two metres away",
 )

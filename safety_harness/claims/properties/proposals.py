@@ -1,8 +1,9 @@
-"""Judge the avoider's own proposals before the gate, because a good gate makes a bad avoider look safe.
+"""Judge the avoider's own proposals before the gate, because a good gate hides a bad avoider.
 
-Each answer is judged against its question. A decision time or a fault may let the answer count later. Then
-the hand and the TCP are still those at the tick of the question. A missing answer is not a proposal; the
-claim "the avoider answered" judges it.
+Each answer is compared with the question to which it belongs. A decision time or a fault may delay the tick
+at which the controller uses an answer. The proposal is then still compared with the hand and the TCP at the
+tick of the question. A missing answer is not a proposal; the claim "the avoider answered" judges missing
+answers.
 """
 
 from __future__ import annotations
@@ -47,9 +48,10 @@ SURENESS = ("decision.proposed_spread_m", "decision.spread_threshold_m")
 
 @once_a_trace
 def proposals(trace: Trace) -> NDArray[np.void]:
-    """Return (m,) DECISION: the usable answers, with hand and TCP at the time of the question.
+    """Return the usable answers as (m,) DECISION.
 
-    An answer to an earlier question is omitted if the trace has no tracked hand at that time.
+    In each record, the hand and the TCP are replaced by those at the time of the question. An answer to an
+    earlier question is omitted if the trace has no tracked hand at the time of that question.
     """
     answers: NDArray[np.void] = trace.decisions[answered(trace)]  # a copy
     seen = (answers["asked_tick"] == answers["tick"]) | trace.ticks["track_valid"][answers["asked_tick"]].any(
@@ -63,7 +65,12 @@ def proposals(trace: Trace) -> NDArray[np.void]:
 
 
 def as_told(trace: Trace, margin: float) -> tuple[float, float, bool]:
-    """Return ends for ``reads``: ``margin`` twice, or infinite ends if a question precedes its decision."""
+    """Return the bounds of the margin for ``reads``.
+
+    Both bounds are ``margin`` if the margin is exact, and otherwise the bounds are infinite. The margin is
+    not exact if a question was asked before the tick of its decision, or if a column of the decisions is
+    uncertain.
+    """
     decisions, known = trace.decisions, trace.known
     own = bool((decisions["asked_tick"] == decisions["tick"]).all())
     if not own or known.uncertain([name for name in (*PROPOSAL, *SURENESS) if name.startswith(OF_DECISIONS)]):
@@ -72,7 +79,7 @@ def as_told(trace: Trace, margin: float) -> tuple[float, float, bool]:
 
 
 def optima_in_base_m(trace: Trace, proposals: NDArray[np.void]) -> NDArray[np.float64]:
-    """Return (m, 3) the closed-form optimum for the question of each of ``proposals`` (m,)."""
+    """Return the closed-form optimum for each question of ``proposals`` (m,), shape (m, 3)."""
     hands, tcps = proposals["hand_position_in_base_m"], proposals["tcp_position_in_base_m"]
     return np.asarray(optimum_in_base_m(trace.scenario.settings, hands, tcps))
 
@@ -85,7 +92,7 @@ def worst(
     shown_m: NDArray[np.float64],  # (m,)
     meaning: str,
 ) -> Evaluation:
-    """Judge the proposal with the least margin, or the first one whose margin is NaN.
+    """Judge the proposal with the least margin, or the first proposal whose margin is NaN.
 
     The reason shows the proposal's ``shown_m`` in mm, followed by its ``meaning``.
     """
@@ -100,11 +107,12 @@ def worst(
 
 @dataclass(frozen=True, kw_only=True)
 class ProposalsLeadAway(Worded):
-    """The claim that the straight way from the TCP to a proposal leads away from the hand of the question.
+    """The claim that the straight way from the TCP to a proposal leads away from the hand.
 
-    The margin of a proposal p is (p - t) . (t - h)/|t - h|, the part of the way from the TCP t that leads
-    away from the hand h, plus the tolerance. The question is only about the nearest hand. The gate and the
-    claim "repulsion moves away from every hand" consider all hands.
+    Both the TCP and the hand are those at the tick of the question. The margin is the component of this way
+    that leads away from the hand, plus the tolerance. For the proposal p, the TCP t and the hand h, this
+    component is the scalar product of p - t and (t - h)/|t - h|. A question contains only the nearest hand.
+    The gate and the claim "repulsion moves away from every hand" consider all hands.
     """
 
     tolerance_m: float
@@ -141,11 +149,12 @@ class NearOptimum(Worded):
 
 @dataclass(frozen=True, kw_only=True)
 class WithinSpread(Worded):
-    """The claim that each proposal lies within ``spreads`` times its spread and an allowance of the optimum.
+    """The claim that each proposal lies near the optimum in comparison with its spread.
 
-    The margin of a proposal p is the least of k s_i + allowance - |p_i - o_i| over the axes i. Here k is
-    ``spreads``, s the spread and o the optimum. The allowance covers the noise of the labels from which the
-    network learnt, which no spread of passes or members includes.
+    On each axis, the distance from the optimum may be ``spreads`` times the spread plus an allowance. The
+    margin of a proposal p is the least of k s_i + allowance - |p_i - o_i| over the axes i. Here k is
+    ``spreads``, s is the spread and o is the optimum. The allowance covers the noise of the labels from which
+    the network learnt. The spread of dropout passes or of ensemble members does not include this noise.
     """
 
     spreads: float
@@ -155,7 +164,10 @@ class WithinSpread(Worded):
 
     @reads(also=[*PROPOSAL, *SURENESS], ends=lambda prop, trace, margin: as_told(trace, margin))
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge every proposal on each axis; inconclusive if the avoider gives no spread."""
+        """Judge every proposal on each axis.
+
+        The verdict is inconclusive if the avoider gives no spread.
+        """
         answers = proposals(trace)
         spread_m = np.minimum(answers["proposed_spread_m"], ENDLESS)
         if len(answers) and np.isnan(answers["spread_threshold_m"]).all() and not (spread_m > 0.0).any():
@@ -169,10 +181,10 @@ class WithinSpread(Worded):
 
 @dataclass(frozen=True, kw_only=True)
 class NeverSureAndOff(Worded):
-    """The claim that no sure proposal is farther than ``within_m`` from the optimum of its question.
+    """The claim that every sure proposal is within ``within_m`` of the optimum of its question.
 
-    The optimum is the closed form. A proposal is *sure* if its largest spread is at most the avoider's own
-    threshold; without a threshold, every proposal is sure.
+    The optimum is computed in closed form. A proposal is *sure* if its largest spread is at most the
+    avoider's own threshold. If the avoider has no threshold, every proposal is sure.
     """
 
     within_m: float
@@ -192,9 +204,11 @@ class NeverSureAndOff(Worded):
 
 @dataclass(frozen=True, kw_only=True)
 class FewOverruled(Worded):
-    """The claim that the gate replaces at most a share of a run's proposals by the opposite pose or a stop.
+    """The claim that the gate overrules at most the fraction ``most`` of a run's proposals.
 
-    All timely answers count, even if a fault of the scenario has made their questions old.
+    The gate overrules a proposal if it replaces it by the opposite pose or by a stop. The claim includes
+    every answer that came in time, even if a fault of the scenario delayed the answer so that its question is
+    old.
     """
 
     most: float
@@ -203,7 +217,7 @@ class FewOverruled(Worded):
 
     @reads(also=[*ANSWER, "decision.outcome"])
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge the run as a whole."""
+        """Judge the fraction of overruled proposals in the whole run."""
         made, vetoed = answered(trace), overruled(trace)
         proposed, count = int(np.count_nonzero(made)), int(np.count_nonzero(vetoed))
         if proposed == 0:
@@ -217,32 +231,38 @@ class FewOverruled(Worded):
 
 
 YARDSTICK = (
-    "The optimum is the closed form of the function that the networks learn (eq. 13 with the continuous "
-    "optimum). It is only a yardstick, because an avoider of another kind may be good although its proposals "
-    "are far from the optimum"
+    "The optimum is the closed form of the function that the networks learn (eq. 13 with "
+    "the continuous optimum). The optimum is only a yardstick, because an avoider of "
+    "another kind may be good although its proposals are far from it"
 )
-ANSWERED = "the controller asked the avoider, which gave a usable answer"
+ANSWERED = "the controller queried the avoider and got a usable answer"
 OPTIMUM_OF = "the length; radius, candidate cone, hand pull, nominal hand and desired pose in the settings"
 
 LEAD_AWAY = CatalogueEntry(
     prop=ProposalsLeadAway(tolerance_m=0.01),
-    rationale="a gate that refuses every position towards a hand hides that the avoider proposes such "
-    "positions",
+    rationale=(
+        "an avoider may propose positions towards a hand although the gate refuses them all, "
+        "and the arm's motion does not show this"
+    ),
     source='the paper, section 4.1 ("a quarter of a sphere will lead the robot to move away")',
-    margin="component of the way from the TCP to the proposal that leads away from the hand of the "
-    "question, plus the tolerance; least over proposals",
-    parameters="the tolerance: how much nearer to the hand a proposal may lead",
+    margin=(
+        "the component of the path from the TCP to the proposal that leads away from the "
+        "queried hand, plus the tolerance; the least value over proposals"
+    ),
+    parameters="the tolerance, by which a proposal may lead nearer to the hand",
     exercised=ANSWERED,
     broken_by="an avoider that proposes positions towards the hand, behind the full gate",
 )
 NEAR_OPTIMUM = CatalogueEntry(
     prop=NearOptimum(within_m=0.06),
     pattern=r"proposals within (\S+(?: \S+)?) of the optimum",
-    rationale="this claim is the first to show a network that is wrong in a region, a frame or a "
-    f"unit. {YARDSTICK}",
+    rationale="this claim detects a network that is wrong in a region, a frame or a unit before any other "
+    f"claim does. {YARDSTICK}",
     source="eq. 13 of the paper, with the nearest point of the candidates' cap in closed form",
-    margin="the length less the distance from a proposal to the optimum of its question, least over "
-    "proposals",
+    margin=(
+        "the length minus the distance from a proposal to the optimum for the same query; the "
+        "least value over proposals"
+    ),
     parameters=OPTIMUM_OF,
     exercised=ANSWERED,
     scenario="network-certain",
@@ -254,35 +274,45 @@ WITHIN_SPREAD = CatalogueEntry(
     "dropout or of an ensemble does not contain the noise of the labels; the allowance covers this noise. "
     f"{YARDSTICK}",
     source="the paper, section 3.3, and eqs. 10 and 11: the spread of a network's answers",
-    margin="for each axis, the number times the spread, plus the allowance, less the distance to "
-    "the optimum along that axis; least over axes and proposals",
+    margin=(
+        "for each axis, the number times the spread, plus the allowance, minus the distance "
+        "to the optimum along that axis. The margin is the least value over axes and "
+        "proposals"
+    ),
     parameters="the number of spreads; the allowance; the settings that determine the optimum",
     exercised=ANSWERED,
     inconclusive="an avoider without a threshold whose spreads are all zero, because it states no "
     "uncertainty",
     scenario="network-certain",
-    broken_by="an avoider with a threshold, sure of a position far from the optimum",
+    broken_by="an avoider that has a threshold and is sure of a position far from the optimum",
 )
 NEVER_SURE_AND_OFF = CatalogueEntry(
     prop=NeverSureAndOff(within_m=0.06),
     rationale="an uncertain answer leads to the fallback, so errors matter most where the network "
     f"is certain. {YARDSTICK}",
-    source="the paper, section 3.3: the opposite pose where the network is not sure",
-    margin="the length less the distance from a proposal to the optimum of its question, least over "
-    "the proposals whose largest spread is at most the avoider's threshold",
+    source="the paper, section 3.3: the arm uses the opposite pose if the network is not sure",
+    margin=(
+        "the length minus the distance from a proposal to the optimum for the same query; the "
+        "least value over the proposals whose largest spread is at most the avoider's "
+        "threshold"
+    ),
     parameters=f"{OPTIMUM_OF}; the avoider's threshold (an avoider without a threshold is always sure)",
-    exercised=f"{ANSWERED} of which it was sure",
+    exercised=f"{ANSWERED} of which the avoider was sure",
     scenario="network-certain",
-    broken_by="an avoider with a threshold, sure of a position far from the optimum",
+    broken_by="an avoider that has a threshold and is sure of a position far from the optimum",
 )
 FEW_OVERRULED = CatalogueEntry(
     prop=FewOverruled(most=0.5),
-    rationale="the runs are to assess the avoider, but where the gate overrules it, they show only the "
-    "fallback",
+    rationale=(
+        "the runs should assess the avoider, but if the gate overrules the avoider, the runs "
+        "show only the fallback"
+    ),
     source="the three steps of the gate: answer, opposite pose, stop",
-    margin="the share less the share of the proposals in a run that the gate replaced or answered "
-    "with a stop",
-    parameters="the share, from 0 % to less than 100 %",
+    margin=(
+        "the allowed percentage minus the percentage of a run's proposals that the gate "
+        "replaced or answered with a stop"
+    ),
+    parameters="the allowed percentage, from 0 % to less than 100 %",
     exercised=ANSWERED,
-    broken_by="an avoider with a spread above its threshold at every question",
+    broken_by="an avoider with a spread above its threshold at every query",
 )

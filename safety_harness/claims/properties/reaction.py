@@ -1,4 +1,4 @@
-"""Judge that the arm soon gives way or stops when a hand is near the TCP, be it predicted or true.
+"""Check that the arm soon gives way or stops when a predicted or a true hand is near the TCP.
 
 Without a hand, the arm must not give way, and it must not alternate between giving way and its task.
 """
@@ -45,16 +45,17 @@ from safety_harness.trace.trace import Trace, once_a_trace
 
 @once_a_trace
 def gives_way(trace: Trace) -> NDArray[np.bool_]:
-    """Return (n,) whether the controller repulses or is in a protective stop."""
+    """Return a mask of the ticks at which the mode is a repulsion or a protective stop, shape (n,)."""
     mode = trace.ticks["mode"]
     given: NDArray[np.bool_] = (mode == Mode.REPULSING) | (mode == Mode.PROTECTIVE_STOP)
     return given
 
 
 def predicted_near(trace: Trace, within_m: float = np.inf) -> tuple[NDArray[np.bool_], int]:
-    """Return (n,) whether a predicted hand is within the critical distance and ``within_m`` of the true TCP.
+    """Return a mask of the ticks at which a predicted hand is near the true TCP, shape (n,).
 
-    Also return the first tick with a prediction that is not finite, or -1.
+    A hand is near if it is within the critical distance and within ``within_m``. The second result is the
+    first tick with a prediction that is not finite, or -1.
     """
     near_m = min(trace.scenario.settings.avoidance.critical_distance_m, within_m)
     apart_m, nowhere = predicted_apart_m(trace)
@@ -63,9 +64,10 @@ def predicted_near(trace: Trace, within_m: float = np.inf) -> tuple[NDArray[np.b
 
 @once_a_trace
 def predicted_apart_m(trace: Trace) -> tuple[NDArray[np.float64], int]:
-    """Return (n,) the distance of the nearest predicted hand from the true TCP, infinite without one.
+    """Return the distance of the nearest predicted hand from the true TCP, shape (n,).
 
-    Also return the first tick with a prediction that is not finite, or -1.
+    The distance is infinite if no hand is predicted. The second result is the first tick with a prediction
+    that is not finite, or -1.
     """
     ticks = trace.ticks
     return _predicted_apart(true_motion(trace).tcp_m, ticks["track_valid"], ticks["predicted_hand_in_base_m"])
@@ -77,7 +79,10 @@ def _predicted_apart(
     tracked: NDArray[np.bool_],  # (n, tracks)
     predicted_m: NDArray[np.float64],  # (n, tracks, 3)
 ) -> tuple[NDArray[np.float64], int]:
-    """Return (n,) the least |predicted - tcp| over tracks, and the first tick without a finite prediction."""
+    """Return the least |predicted - tcp| over tracks, shape (n,).
+
+    The second result is the first tick with a prediction that is not finite, or -1.
+    """
     nearest_m, nowhere = np.full(tcp_m.shape[0], np.inf), -1
     for k in range(nearest_m.shape[0]):
         for track in range(tracked.shape[1]):
@@ -95,7 +100,11 @@ def _predicted_apart(
 
 
 def may_give_way(trace: Trace) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return (n,) whether the arm certainly gives way at each tick, and (n,) whether it may give way."""
+    """Return two masks of ticks, both (n,).
+
+    The first mask has the ticks at which the arm certainly gives way, and the second mask has the ticks at
+    which the arm may give way.
+    """
     known = trace.known.measured("mode", trace.ticks)
     return gives_way(trace) & known, gives_way(trace) | ~known
 
@@ -107,12 +116,13 @@ def _answer_ends(
     maybe: NDArray[np.bool_],
     whole_stretch: bool,
 ) -> tuple[float, float, bool]:
-    """Return the margin's ends, as ``reads`` expects, and whether the claim was exercised.
+    """Return the margin's bounds for ``reads``, and whether the claim was certainly exercised.
 
     A hand is certainly near at the ticks ``sure`` (n,), and may be near at the ticks ``maybe`` (n,). The
-    lower end uses the longest time for which a hand may have been near unanswered, and the upper end the
-    longest certain time. Mode and hand may have changed anywhere between two ticks, so the first time is a
-    period longer, and the second a period shorter.
+    lower bound uses the longest time for which a hand may have been near without a response. The upper bound
+    uses the longest time for which this is certain. Mode and hand may have changed anywhere between two
+    ticks. So the time for the lower bound is lengthened by one period, and the time for the upper bound is
+    shortened by one period.
     """
     gives, may = may_give_way(trace)
     last, longest, open_from, too_long = len(sure) - 1, [0, 0], len(sure), False
@@ -154,7 +164,7 @@ def _true_ends(prop: GivesWayToTrueHand, trace: Trace) -> tuple[float, float, bo
 
 
 def nearest_off_m(trace: Trace) -> NDArray[np.float64]:
-    """Return (n,) the error of the distance of the nearest hand from the TCP."""
+    """Return the error of the nearest hand's distance from the TCP, shape (n,)."""
     count = len(trace.ticks)
     return trace.known.uncertainty_of("transform_tcp_to_base", count) + trace.known.uncertainty_of(
         "hand_position_in_base_m", count
@@ -163,16 +173,17 @@ def nearest_off_m(trace: Trace) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, kw_only=True)
 class GivesWay(Worded):
-    """``within_s`` less the longest time for which a predicted hand was near and the arm did not give way.
+    """The claim that the arm gives way to each predicted hand within ``within_s``.
 
-    A hand is near if its centre is within the critical distance of the true TCP, as in the controller's own
-    rule. The time starts when a hand is first near while the arm does not give way, and ends when the arm
-    does. It continues if the hand leaves, because the arm must respond to every prediction. If the run ends
-    first, the time counts only if it is already too long.
+    The margin is ``within_s`` minus the longest time for which a predicted hand was near and the arm did not
+    give way. A hand is near if its centre is within the critical distance of the true TCP, as in the
+    controller's own rule. The time starts when a hand comes near while the arm does not give way, and it ends
+    when the arm gives way. The time continues if the hand leaves, because the arm must respond to every
+    prediction. If the run ends before the arm gives way, the time is used only if it is already too long.
 
-    The controller's report of repulsion or protective stop counts as giving way, because other claims check
-    the motion. Each predicted hand that comes near and within NEAR_M exercises the claim, so that a longer
-    critical distance gives no more occasions.
+    The controller's report of a repulsion or a protective stop is accepted as giving way, because other
+    claims check the motion. A predicted hand exercises the claim if it comes near and is also within NEAR_M.
+    Therefore a longer critical distance does not produce more occasions.
     """
 
     within_s: float
@@ -199,16 +210,17 @@ class GivesWay(Worded):
 
 @dataclass(frozen=True, kw_only=True)
 class GivesWayToTrueHand(Worded):
-    """``within_s`` less the longest time for which a true hand was near and the arm did not give way.
+    """The claim that the arm gives way to each true hand within ``within_s``.
 
-    A hand is near if its centre is within the critical distance of the TCP, whatever the controller sees,
-    tracks or predicts. The time is a stretch of ticks at which a hand is near and the controller neither
-    repulses nor is in a protective stop. If a hand leaves within ``within_s`` and the arm never gave way to
-    it, the claim is inconclusive. If a hand is near when the run ends, it counts only if the time is already
-    too long.
+    The margin is ``within_s`` minus the longest time for which a true hand was near and the arm did not give
+    way. A hand is near if its centre is within the critical distance of the TCP, whatever the controller
+    sees, tracks or predicts. The time is a stretch of ticks at which a hand is near and the controller
+    reports no repulsion and no protective stop. If a hand leaves within ``within_s`` and the arm never gave
+    way to it, the claim is inconclusive. If a hand is still near when the run ends, its time is used only if
+    it is already too long.
 
-    The controller's report counts as giving way. Each true hand that comes near and within NEAR_M exercises
-    the claim.
+    The controller's report of a repulsion or a protective stop is accepted as giving way. A true hand
+    exercises the claim if it comes near and is also within NEAR_M.
     """
 
     within_s: float
@@ -244,6 +256,7 @@ def _judged(
     longest, since, open_from = 0, int(np.argmax(close)), len(close)  # in ticks
     for first, end in unanswered:
         took = min(end, len(close) - 1) - first
+        # The run ends before the time is over, so this stretch decides nothing.
         if end == len(close) and time_left_s(trace, prop.within_s, took) >= 0.0:
             open_from = first
         elif took > longest:
@@ -276,8 +289,10 @@ GIVES_WAY = CatalogueEntry(
     rationale="every later step assumes that the arm reacts within the time for which its separation "
     "is designed",
     source="the paper, section 3.3; the reaction time T_r",
-    margin="the time allowed less the longest time for which a predicted hand was near although the "
-    "arm neither retreated nor stopped",
+    margin=(
+        "the time allowed minus the longest time during which a predicted hand was near and "
+        "the arm neither retreated nor stopped"
+    ),
     parameters="the time; the critical distance in the settings",
     exercised="a predicted hand comes within the critical distance of the TCP, and within 400 mm",
     inconclusive="a prediction is not finite, or the run ends within the time allowed",
@@ -287,13 +302,19 @@ GIVES_WAY_TO_TRUE_HAND = replace(
     GIVES_WAY,
     prop=GivesWayToTrueHand(within_s=0.1),
     former=("gives way within {within_s:ms} of a true hand",),
-    rationale="a hand that the sensor does not see, or sees elsewhere, is in the same danger, but "
-    "every claim about predictions overlooks it",
-    source="the project's own; the reaction time T_r, from the hand and not from what is known of it",
-    margin="the time allowed less the longest time for which a true hand was near although the arm "
-    "neither retreated nor stopped",
+    rationale=(
+        "a hand that the sensor does not see, or sees in a wrong place, is in the same "
+        "danger, but claims about predictions overlook this hand"
+    ),
+    source=(
+        "the project's own; the reaction time T_r, measured from the true hand instead of the predicted hand"
+    ),
+    margin=(
+        "the time allowed minus the longest time during which a true hand was near and the "
+        "arm neither retreated nor stopped"
+    ),
     exercised="a true hand comes within the critical distance of the TCP, and within 400 mm",
-    inconclusive="the hand leaves, or the run ends, within the time allowed and before the arm reacts",
+    inconclusive="the hand leaves or the run ends within the time allowed, before the arm reacts",
     scenario="hidden-by-the-arm",
     broken_by="a hand sensor that is blind",
 )
@@ -301,10 +322,11 @@ GIVES_WAY_TO_TRUE_HAND = replace(
 
 @dataclass(frozen=True, kw_only=True)
 class GivesWayAtMost(Worded):
-    """``most`` less the number of times that the arm left its task to give way.
+    """The claim that the arm leaves its task to give way at most ``most`` times.
 
-    The arm leaves its task when it changes from servoing, or from standing without the object, to repulsing
-    or to a protective stop. A further decision while the arm gives way does not count.
+    The margin is ``most`` minus the number of times that the arm left its task. The arm leaves its task when
+    a repulsion or a protective stop begins while the arm servoes, or while it waits for the object. A further
+    decision while the arm gives way is not counted.
     """
 
     most: int
@@ -324,7 +346,10 @@ class GivesWayAtMost(Worded):
 
 
 def gives_way_at(trace: Trace) -> NDArray[np.int64]:
-    """Return the ticks at which the arm leaves its task to give way; every run begins with the task."""
+    """Return the ticks at which the arm leaves its task to give way.
+
+    The first tick is included if the arm already gives way there.
+    """
     return np.flatnonzero(begins_at(gives_way(trace)))
 
 
@@ -334,8 +359,9 @@ GIVES_WAY_AT_MOST = CatalogueEntry(
     rationale="an arm that moves back and forth in front of a hand is of no use, and its motion is "
     "hard to foresee",
     source="hysteresis, a common demand on switched controllers",
-    margin="the number allowed less the number of times at which the arm leaves its task to retreat "
-    "or to stop",
+    margin=(
+        "the number allowed minus the number of times at which the arm leaves its task to retreat or to stop"
+    ),
     parameters="the number of times allowed",
     exercised="the arm retreats or stops",
     scenario="hand-returns",
@@ -345,13 +371,16 @@ GIVES_WAY_AT_MOST = CatalogueEntry(
 
 @dataclass(frozen=True, kw_only=True)
 class NoFalseAlarms(Worded):
-    """The limit less the distance of the nearest true hand from the TCP when the arm begins to give way.
+    """The claim that the arm gives way only if a true hand is near.
 
-    The claim judges each beginning of a repulsion or protective stop, and each decision. It does not judge
-    their duration, as a hand may leave before they end, nor stops at a singularity. The limit is
-    ``within_m``, or else the critical distance plus the way of a hand at 2 m/s within the prediction horizon.
-    A correct prediction can be that far ahead of the hand. A hand beyond twice the limit, or no hand, counts
-    as a hand at twice the limit. If the arm never gave way, the margin is the limit.
+    The margin is the limit minus the distance of the nearest true hand from the TCP when the arm begins to
+    give way. The claim judges each decision, and each moment at which a repulsion or a protective stop
+    begins. The further course of the repulsion or stop is not judged, because the hand may leave before its
+    end. Stops at a singularity are not judged. The limit is ``within_m``. By default, it is the critical
+    distance plus the distance that a hand at 2 m/s covers within the prediction horizon. A correct prediction
+    can be ahead of the hand by the distance that the hand covers within the horizon. If no hand is within
+    twice the limit, the distance is set to twice the limit. If the arm never gave way, the margin is the
+    limit.
 
     Each tick without a true hand within the limit exercises the claim.
     """
@@ -361,7 +390,7 @@ class NoFalseAlarms(Worded):
 
     @property
     def wording(self) -> str:
-        """Return the sentence, with the limit if ``within_m`` states one."""
+        """Return the wording of the sentence, with the limit if ``within_m`` is given."""
         return "never retreats without a hand" + " within {within_m:mm}" * (self.within_m is not None)
 
     @reads(
@@ -372,7 +401,7 @@ class NoFalseAlarms(Worded):
         ends=lambda prop, trace, _: _alarm_ends(prop, trace),
     )
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge every beginning of giving way."""
+        """Judge each tick at which the arm begins to give way."""
         limit_m = self.limit_m(trace.scenario.settings)
         nearest_m = np.minimum(nearest_hand_m(trace), 2.0 * limit_m)
         alarms = beginnings(trace)
@@ -393,7 +422,7 @@ class NoFalseAlarms(Worded):
         return judged(self, trace, margin_m, trace.time_s[worst], reason, exercised, lacked)
 
     def limit_m(self, settings: Settings) -> float:
-        """Return the greatest distance [m] of a hand to which the arm may give way."""
+        """Return the largest distance [m] of a hand to which the arm may give way."""
         if self.within_m is not None:
             return self.within_m
         horizon_s = settings.hand_filter.prediction_horizon_s
@@ -402,19 +431,24 @@ class NoFalseAlarms(Worded):
 
 @once_a_trace
 def beginnings(trace: Trace) -> NDArray[np.int64]:
-    """Return the ticks (k,) of decisions, and of beginnings of giving way except at a singularity."""
+    """Return the ticks (k,) of decisions and of beginnings of giving way.
+
+    Stops at a singularity are left out.
+    """
     begins = begins_at(gives_way(trace))
     begins &= trace.ticks["limits"] & int(Limit.SINGULARITY) == 0
+    # After the singularities are left out, so that a decision is judged even if it ends in such a stop.
     begins[trace.decisions["tick"]] = True
     return np.flatnonzero(begins)
 
 
 def _alarm_ends(prop: NoFalseAlarms, trace: Trace) -> tuple[float, float, bool]:
-    """Return the margin's least and largest possible values, and whether the claim was exercised.
+    """Return the least and the largest possible margin, and whether the claim was exercised.
 
-    The least margin has the nearest hand as far as possible at every possible beginning; the largest has it
-    as near as possible. A beginning is uncertain by the tick before it, and a decision by a tick either way
-    or by its gap.
+    For the least margin, the nearest hand is as far away as possible at every possible beginning. For the
+    largest margin, the nearest hand is as near as possible at every certain beginning. The true time of a
+    beginning may be anywhere between its tick and the previous tick. The true time of a decision may be one
+    tick earlier or later, or anywhere in the gap that contains the decision.
     """
     limit_m, nearest_m, off_m = (
         prop.limit_m(trace.scenario.settings),
@@ -447,9 +481,12 @@ FALSE_ALARMS = CatalogueEntry(
     former=("never gives way without a hand",),
     rationale="an arm that retreats from nobody loses time, and people then switch its avoidance off",
     source="the project's own",
-    margin="the limit less the distance of the nearest true hand from the TCP when a retreat or a "
-    "stop begins",
-    parameters="critical distance and prediction horizon in the settings, for hands of at most 2 m/s",
+    margin=(
+        "the limit minus the distance of the nearest true hand from the TCP when a retreat or a stop begins"
+    ),
+    parameters=(
+        "the critical distance and the prediction horizon in the settings, for hands that move at up to 2 m/s"
+    ),
     exercised="no true hand is within the limit during at least one tick",
     scenario="fault-false-hand",
     broken_by="a controller whose own critical distance is too long",

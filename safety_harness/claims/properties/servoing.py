@@ -1,9 +1,9 @@
-"""Judge that servoing reaches the gain switch, and then its goal, once the hands have left.
+"""Check that servoing reaches the gain switch, and then its goal, after the hands have left.
 
-Further claims judge that the task does not pause too long, and that the camera sees the object. The first two
-claims compare servoing with the closed form of eq. 1 with the right interaction matrix. The closed form's
-error decays as exp(-lambda t) with the gain lambda, so it falls from d to a threshold c in ln(d/c)/lambda
-seconds. A run that ends before the allowed time is not evidence.
+Further claims judge that the task does not pause too long, and that the camera sees the object. The claims on
+the gain switch and on the goal compare servoing with the closed-form solution of eq. 1 for the correct
+interaction matrix. The closed form's error decays as exp(-lambda t) with the gain lambda, so it falls from d
+to a threshold c in ln(d/c)/lambda seconds. A run that ends before the allowed time is not evidence.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from safety_harness.trace.trace import Trace, history, once_a_trace
 
 ALLOWANCE = 1.25  # times the closed form, for the limits and the other five features
 GRACE_S = 1.0  # for getting up to speed
-ROUNDED_UP_S = 0.1
+ROUNDED_UP_S = 0.1  # ``longer`` prints tenths of a second, and the printed duration must suffice
 LEAST_GAIN_M = 1e-3  # a smaller approach is no progress (metres and radians together, as in eq. 15)
 CAUSE_REACH = 1.5  # critical distances within which a hand may cause a retreat, which leads beyond one
 STANDS_S = 5.0  # without getting on, and it does not converge
@@ -47,7 +47,7 @@ LEAST_SHARE = 0.1  # of the closed form's rate: servoing at less is no progress
 
 
 def retreat_s(trace: Trace) -> float:
-    """Return how long [s] an arm may still retreat or stand after the last hand has left."""
+    """Return how long [s] the arm may still retreat or stand after the last hand has left."""
     avoidance = trace.scenario.settings.avoidance
     speed_mps, most_mps2 = avoidance.repulsion_speed_mps, avoidance.repulsion_acceleration_mps2
     return avoidance.restart_delay_s + avoidance.radius_m / speed_mps + speed_mps / most_mps2
@@ -55,11 +55,13 @@ def retreat_s(trace: Trace) -> float:
 
 @once_a_trace
 def left_at(trace: Trace) -> int | None:
-    """Return the tick from which the arm is free for its task, by its motion alone; None if there is none.
+    """Return the tick from which the arm is free for its task, or None if there is no such tick.
 
-    After it, no true hand is within the critical distance of the TCP. Nor does the TCP leave the desired pose
-    while a hand is within CAUSE_REACH times that distance. For another ``retreat_s`` the arm may stand or
-    retreat; the result is the last tick of that time at which it is farthest off.
+    The tick is found by the motion of arm and hands alone. After this tick, no true hand is within the
+    critical distance of the TCP. Also, the TCP does not move away from the desired pose while a hand is
+    within CAUSE_REACH times that distance. For a further ``retreat_s``, the arm may stand or retreat. The
+    result is the tick of this period at which the TCP is farthest from the desired pose; if there are
+    several, it is the last.
     """
     settings, error = trace.scenario.settings, hypot(*pose_errors(trace))
     nearest_m, critical_m = nearest_hand_m(trace), settings.avoidance.critical_distance_m
@@ -75,7 +77,7 @@ def left_at(trace: Trace) -> int | None:
 
 
 def busy_to_the_end(trace: Trace) -> str:
-    """Return words on the hand that kept the arm from servoing to the end of the run."""
+    """Return a text about the hand that kept the arm from servoing until the end of the run."""
     critical_m, left_m = trace.scenario.settings.avoidance.critical_distance_m, nearest_hand_m(trace)[-1]
     hand_near = f"a hand is near to the end: {millimetres(left_m, critical_m)} from the TCP"
     # The arm may still retreat from a hand just outside the critical distance.
@@ -85,15 +87,16 @@ def busy_to_the_end(trace: Trace) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class GainSwitchReached(Worded):
-    """The claim that eq. 15 falls below the gain switch soon enough after the last hand has left.
+    """The claim that the error of eq. 15 falls below the gain switch in time after the last hand left.
 
-    The margin is the allowed time that is left at that moment, or minus the excess at the end of the run. The
-    allowed time is ``within_s``, or else 1.25 times the closed form ln(|e|/sqrt(c))/lambda, plus 1 s. Here e
-    is the error when the hand leaves, c the gain switch and lambda the far gain. While the camera does not
-    see the object, the error is not below the switch.
+    The margin is the allowed time minus the time until the error falls below the switch. If the error stays
+    above the switch, the time until the end of the run is used. The allowed time is ``within_s``. By default,
+    it is 1.25 times the closed form ln(|e|/sqrt(c))/lambda, plus 1 s. Here e is the error when the last hand
+    leaves, c is the gain switch and lambda is the far gain. While the camera does not see the object, the
+    error is not below the switch.
 
-    A run exercises the claim if the error is above the switch after the last hand has left. A smaller error
-    results from the start, or from the time while the hand was near.
+    A run exercises the claim if the error is above the switch after the last hand has left. An error that is
+    already below the switch at that time is not a result of the servoing that the claim judges.
     """
 
     within_s: float | None = None
@@ -101,7 +104,7 @@ class GainSwitchReached(Worded):
 
     @property
     def wording(self) -> str:
-        """Return the sentence, with the allowed time if ``within_s`` states one."""
+        """Return the wording of the sentence, with the allowed time if ``within_s`` is given."""
         return "gain switch reached" + " within {within_s:s}" * (self.within_s is not None)
 
     @only_whole()
@@ -141,22 +144,23 @@ class GainSwitchReached(Worded):
 
 
 def longer(trace: Trace, lacked_s: float) -> str:
-    """Return words on the duration of a run that would decide the claim."""
+    """Return a text that states how long a run must be to decide the claim."""
     duration_s = trace.scenario.duration_s + lacked_s + ROUNDED_UP_S
     return f"a duration of {duration_s:.1f} s exercises it if no hand comes near again"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Converged:
-    """The claim that the TCP ends within 1 mm and 0.1 degree of the desired pose, whatever the features.
+    """The claim that the TCP ends within 1 mm and 0.1 degree of the desired pose.
 
-    The margin is 1 mm less the distance at the end. If the angle is too large, the margin is minus the
-    distance that the excess angle makes at the camera's desired depth. A run shorter than the closed form
-    needs with both gains is inconclusive. Exceptions are a TCP that has already converged, or that hardly
-    came nearer in the last 5 s. Only the motion counts, not the reported mode.
+    The image features are not considered. The margin is 1 mm minus the distance from the desired pose at the
+    end. If the angle is too large, the margin is at most minus the displacement that the excess angle causes
+    at the camera's desired depth. A run is inconclusive if it is shorter than the time that the closed form
+    needs with both gains. This does not apply if the TCP has already converged, or hardly came nearer in the
+    last 5 s. Only the motion is judged, not the reported mode.
 
-    A run exercises the claim if the TCP was farther off at any tick, so that servoing has brought it here. A
-    run whose TCP began there and stayed is not evidence.
+    A run exercises the claim if the TCP was outside these limits at any tick, so that servoing has a distance
+    to cover. A run whose TCP is within the limits from beginning to end is not evidence.
     """
 
     unit: Unit = Unit.LENGTH
@@ -193,7 +197,10 @@ class Converged:
         )
 
     def _needed_s(self, trace: Trace, distance_m: float) -> float:
-        """Return the closed form's time [s] from ``distance_m`` to 1 mm with both gains, and an allowance."""
+        """Return how long [s] servoing should take from ``distance_m`` to 1 mm.
+
+        It is the time of the closed form with both gains, increased by an allowance.
+        """
         servo = trace.scenario.settings.servo
         switch_m = float(np.sqrt(servo.gain_switch_sse))
         far_s = log(max(distance_m, switch_m) / switch_m) / servo.gain_far
@@ -202,7 +209,11 @@ class Converged:
 
 
 def _stands(trace: Trace, first: int) -> bool:
-    """Return whether the TCP, in the last STANDS_S since ``first``, neared at less than half its due rate."""
+    """Return whether the TCP hardly came nearer to the desired pose in the last STANDS_S.
+
+    The result is True only if the rate was less than half the due rate and STANDS_S have passed since
+    ``first``.
+    """
     begin = len(trace.ticks) - 1 - round(STANDS_S / trace.scenario.settings.clock.control_period_s)
     error = hypot(*pose_errors(trace))
     rate_per_s = 0.5 * trace.scenario.settings.servo.gain_near
@@ -210,9 +221,9 @@ def _stands(trace: Trace, first: int) -> bool:
 
 
 def _converged_ends(trace: Trace, margin: float) -> tuple[float, float, bool]:
-    """Return the margin's ends, as ``reads`` expects, by the error of the last pose.
+    """Return the margin's bounds for ``reads``, from the error of the last pose.
 
-    The upper end is infinite if a hand may have come near after all, because a violation is then uncertain.
+    The upper bound is infinite if a hand may have come near again, because a violation is then uncertain.
     """
     off_m, first = trace.known.uncertainty_of("transform_tcp_to_base", len(trace.ticks)), left_at(trace) or 0
     apart_m = (nearest_hand_m(trace) - nearest_off_m(trace))[first:]
@@ -225,8 +236,10 @@ GAIN_SWITCH = CatalogueEntry(
     prop=GainSwitchReached(),
     rationale="if an avoider leaves the arm where servoing cannot continue, the task ends",
     source="the paper, eq. 15",
-    margin="the time allowed, 1.25 times the closed form plus 1 s, less the time from the last "
-    "hand's departure until the gain switches",
+    margin=(
+        "the time allowed (1.25 times the closed form, plus 1 s) minus the time from the last "
+        "hand's departure until the gain switches"
+    ),
     parameters="the gains and the gain switch in the settings",
     exercised="the error is above the gain switch after the last hand has left",
     inconclusive="a hand is near until the end, or the run ends before the time allowed",
@@ -238,16 +251,18 @@ GAIN_SWITCH_WITHIN = replace(
     GAIN_SWITCH,
     prop=GainSwitchReached(within_s=5.0),
     pattern=r"gain switch reached within (?!.* iterations$)(.+)",
-    rationale="the same, for a cell with a cycle time",
-    margin="the time allowed less the time from the last hand's departure until the gain switches",
+    rationale="the same as without a stated time, for a cell with a cycle time",
+    margin="the time allowed minus the time from the last hand's departure until the gain switches",
     parameters="the time allowed",
 )
 
 CONVERGED = CatalogueEntry(
     prop=Converged(),
     rationale="a small image error may belong to another pose of the same triangle",
-    source="the P3P ambiguity of a triangle; judged by pose",
-    margin="1 mm less the distance from the desired pose at the end (and 0.1 degree less the angle)",
+    source="the P3P ambiguity of a triangle; this claim judges the pose itself",
+    margin=(
+        "1 mm minus the distance from the desired pose at the end of the run (and 0.1 degree minus the angle)"
+    ),
     parameters="the gains in the settings",
     exercised="at some tick the TCP was farther from the desired pose than the limits",
     inconclusive="the run is shorter than the closed form needs, but the TCP comes nearer in the last 5 s",
@@ -258,7 +273,7 @@ CONVERGED = CatalogueEntry(
 
 @dataclass(frozen=True, kw_only=True)
 class GainSwitchIterations(Worded):
-    """The claim of ``GainSwitchReached`` with the time counted in control ticks."""
+    """The claim of ``GainSwitchReached``, except that the time is given as a number of control ticks."""
 
     within: int
     unit: Unit = Unit.COUNT
@@ -288,10 +303,12 @@ class GainSwitchIterations(Worded):
 GAIN_SWITCH_ITERATIONS = replace(
     GAIN_SWITCH,
     prop=GainSwitchIterations(within=600),
-    rationale="the same in the paper's measure, which does not depend on the control period",
+    rationale="the same in iterations, the paper's measure, which does not depend on the control period",
     source="the paper, eq. 15 and section 5: iterations until |f - f*|^2 is below the threshold",
-    margin="the iterations allowed less the control ticks from the last hand's departure until the "
-    "gain switches",
+    margin=(
+        "the iterations allowed minus the control ticks from the last hand's departure until "
+        "the gain switches"
+    ),
     parameters="the iterations allowed",
     inconclusive="a hand is near until the end, or the run ends before the iterations allowed",
 )
@@ -299,13 +316,15 @@ GAIN_SWITCH_ITERATIONS = replace(
 
 @dataclass(frozen=True, kw_only=True)
 class NeverStarved(Worded):
-    """``longest_s`` less the longest time for which the task paused.
+    """The claim that the task never pauses for longer than ``longest_s``.
 
-    The error is that of eq. 15 for the true pose, (distance^2 + angle^2)^(1/2) in metres and radians. The
-    task is done while the error is below the root of the gain switch. The task pauses at a tick if it is not
-    done and the controller does not servo. It also pauses if the error falls at less than a tenth of the
-    closed form's rate lambda |e|. The pause ends when the error is 1 mm smaller than ever since the task was
-    last done. So a system that servoes and gives way in turns without coming nearer pauses its task.
+    The margin is ``longest_s`` minus the longest time for which the task paused. The error is that of eq. 15
+    for the true pose: (distance^2 + angle^2)^(1/2) in metres and radians. The task is done while the error is
+    below the square root of the gain switch. The task pauses at a tick if it is not done and the controller
+    does not servo. It also pauses while the controller servoes too slowly, that is, while the error e falls
+    at less than a tenth of the closed form's rate lambda |e|. The pause ends when the error is 1 mm smaller
+    than its least value since the task was last done. So the task also pauses if a system alternates between
+    servoing and giving way, but does not come nearer.
     """
 
     longest_s: float
@@ -336,7 +355,7 @@ class NeverStarved(Worded):
 
 
 def lost_ticks(trace: Trace) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return (n,) for how many ticks the task has paused, and (n,) whether the task is not done."""
+    """Return for how many ticks the task has paused, and whether it is not done, both (n,)."""
     settings = trace.scenario.settings
     distance_m, angle_rad = pose_errors(trace)
     error = hypot(distance_m, angle_rad)
@@ -353,10 +372,14 @@ def _lost(
     done_below: float,
     least_share: float,  # of the error, in one tick
 ) -> NDArray[np.int64]:
-    """Return (n,) the ticks lost: 0 at a new least error, else one more unless the error falls enough."""
+    """Return at each tick the number of ticks that were lost up to then, shape (n,).
+
+    It is 0 at a new least error. Otherwise it rises by one, unless the error falls fast enough.
+    """
     best, lost = error[0], np.zeros(error.shape[0], np.int64)
     for k in range(1, error.shape[0]):
         if error[k] < done_below:
+            # A finished task starts anew: from here on only an error below the switch is progress.
             best, lost[k] = done_below, 0
         elif error[k] < best - LEAST_GAIN_M:
             best, lost[k] = error[k], 0
@@ -370,10 +393,12 @@ NEVER_STARVED = CatalogueEntry(
     prop=NeverStarved(longest_s=10.0),
     former=("task never starved longer than {longest_s:s}",),
     rationale="an arm that never returns to its task is of no use, and people will switch its safety off",
-    source="the paper, section 5: servoing is taken up again and converges after giving way",
-    margin="the limit less the longest pause. In a pause, eq. 15's error is above the threshold and "
-    "the arm does not servo towards the desired pose. A pause ends when the TCP is nearer to the pose than "
-    "ever since the task was last done",
+    source="the paper, section 5: after a retreat, servoing resumes and converges",
+    margin=(
+        "the limit minus the longest pause. In a pause, eq. 15's error is above the threshold "
+        "and the arm does not servo towards the desired pose. A pause ends when the TCP is "
+        "nearer to the pose than at any time since the task was last done"
+    ),
     parameters="the time allowed; the gain switch and the far gain in the settings",
     exercised="the TCP is farther off than the gain switch, and the run is longer than the limit",
     inconclusive="the run is not longer than the limit, or ends while the task pauses",
@@ -383,11 +408,12 @@ NEVER_STARVED = CatalogueEntry(
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectInView(Worded):
-    """``within_s`` less the longest time for which the latest image did not show the whole object.
+    """The claim that the camera does not lose the object for longer than ``within_s``.
 
-    Before the first image, the object is not in view. A run that is no longer than the limit could not
-    violate the claim, so it is not evidence. If the object is out of view at the end of the run, but not yet
-    for too long, the claim is inconclusive.
+    The margin is ``within_s`` minus the longest time for which the latest image did not show the whole
+    object. Before the first image, the object is not in view. A run that is no longer than the limit could
+    not violate the claim, so it is not evidence. The claim is inconclusive if the object is out of view at
+    the end of the run, but not yet for longer than the limit.
     """
 
     within_s: float
@@ -396,7 +422,10 @@ class ObjectInView(Worded):
 
     @reads("tcp_speed_mps", also=["object_visible"])
     def evaluate(self, trace: Trace) -> Evaluation:
-        """Judge every time out of view, from its first tick to the tick that has the object in view again."""
+        """Judge each period in which the object is out of view.
+
+        A period ends at the first tick that shows the object again.
+        """
         if time_left_s(trace, self.within_s, trace.scenario.ticks) >= 0.0:
             lasts = f"the run lasts {trace.scenario.duration_s:g} s"
             return inconclusive(self, f"{lasts}; longer than {self.within_s:g} s exercises it")
@@ -423,11 +452,13 @@ OBJECT_IN_VIEW = CatalogueEntry(
     prop=ObjectInView(within_s=2.0),
     rationale="servoing is blind without the object, so a retreat must not end the task",
     source="the paper, section 3: the features are of an object that is seen whole",
-    margin="the limit less the longest time from an image that no longer shows the whole object to "
-    "the next image that shows it",
+    margin=(
+        "the limit minus the longest time from an image that no longer shows the whole object "
+        "to the next image that shows it"
+    ),
     parameters="the time allowed",
     exercised="the TCP moves, or the object is out of view",
     inconclusive="the object is out of view at the end of the run, but not yet longer than the limit",
     scenario="fault-camera-hidden-by-a-hand",
-    broken_by="an avoider that keeps moving sideways, behind a gate that passes everything",
+    broken_by="an avoider that keeps moving sideways, behind a gate that accepts every proposal",
 )

@@ -1,7 +1,9 @@
-"""Find the assumptions of docs/explanation/shield.md that failed in a run, by its trace: 1 to 5, 7 and 9.
+"""Find which assumptions of docs/explanation/shield.md failed in a run.
 
-The others show indirectly. A wrong time stamp (6) puts a hand in a wrong place (5). Drives that brake late or
-less than commanded (8) do not follow commands (7). A trace cannot show whether a capsule encloses its link.
+A trace shows directly whether the assumptions 1 to 5, 7 and 9 held. It shows the assumptions 6 and 8
+indirectly. A wrong time stamp (assumption 6) puts a hand in a wrong place, which breaks assumption 5. Drives
+that brake late or too weakly (assumption 8) do not follow the commands, which breaks assumption 7. A trace
+cannot show whether a capsule encloses its link.
 """
 
 from __future__ import annotations
@@ -28,7 +30,10 @@ SHIELDED, BROKEN, REFUTED = 1, 0b11111111110, 1 << 11
 
 
 class BrokenAssumption(NamedTuple):
-    """An assumption of the theorem with the first tick at which it failed; ``number`` may be NOT_KNOWN."""
+    """An assumption of the theorem, and the first tick at which it failed.
+
+    If the trace does not record enough, ``number`` is NOT_KNOWN.
+    """
 
     number: int
     tick: int
@@ -37,9 +42,9 @@ class BrokenAssumption(NamedTuple):
 
 @once_a_trace
 def broken_assumptions(trace: Trace) -> list[BrokenAssumption]:
-    """Return the first failure of each assumption, in the assumptions' order; for old traces NOT_KNOWN alone.
+    """Return the first failure of each assumption, in the order of the assumptions.
 
-    The run must have a shield.
+    For old traces, the only entry is NOT_KNOWN. The run must have a shield.
     """
     shield = trace.scenario.shield
     assert shield is not None
@@ -57,9 +62,10 @@ def _broken(trace: Trace, n: int, tick: int, why: str) -> BrokenAssumption:
 
 
 def counts_words(runs: Iterable[tuple[int, int]]) -> str:
-    """Return a line on what ``runs`` show of the theorem; empty if no run has a shield.
+    """Return a line on how often the theorem's assumptions held in ``runs``.
 
-    ``runs`` are pairs of ``theorem_bits`` and the number of runs with these bits.
+    The line is empty if no run has a shield. Each entry of ``runs`` is a pair: a value of ``theorem_bits``,
+    and the number of runs with this value.
     """
     there = list(runs)
 
@@ -122,9 +128,11 @@ def _of_hands(trace: Trace, shield: Shield) -> list[BrokenAssumption]:
 
 
 def _of_drives(trace: Trace, shield: Shield) -> list[BrokenAssumption]:
-    """Return the first failure of assumption 7: the joints turn at a mean of recent commands, or more slowly.
+    """Return the first failure of assumption 7.
 
-    Recent commands are those of the last reaction time. No command turns a joint farther than its own angle.
+    Assumption 7 requires that each joint velocity is a weighted mean of recent commands and zero. Recent
+    commands are those within the last reaction time. In addition, a joint must not turn farther than its
+    commands demand.
     """
     period_s = trace.scenario.settings.clock.control_period_s
     held = delay_ticks(shield.reaction_time_s, period_s)
@@ -132,6 +140,7 @@ def _of_drives(trace: Trace, shield: Shield) -> list[BrokenAssumption]:
     turned = np.diff(trace.ticks["joint_position_rad"], axis=0)
     late = np.concatenate([np.zeros((held, sent.shape[1])), sent])  # row k: of so many ticks before tick k
     deviation_rad = np.abs(turned).max(axis=1)
+    # One command explains most ticks. Only the others need the mean of several commands, which takes longer.
     for i in range(held + 1):
         deviation_rad = np.fmin(
             deviation_rad, np.abs(turned - late[i : i + len(sent)] * period_s).max(axis=1)
@@ -140,6 +149,7 @@ def _of_drives(trace: Trace, shield: Shield) -> list[BrokenAssumption]:
     for k in np.flatnonzero(~(deviation_rad <= most)).tolist():
         if not _mean(late[k : k + held + 1] * period_s, turned[k]) <= most:
             return [_not_sent(trace, k, turned[k], held)]
+    # Sums from any earlier tick to now: a joint may not turn farther than its commands in that time demand.
     path = np.concatenate([np.zeros((1, sent.shape[1])), np.abs(turned).cumsum(axis=0)])
     worth = np.abs(late * period_s).cumsum(axis=0)
     begun = np.concatenate([np.zeros((1, sent.shape[1])), worth])[: len(path)]
@@ -152,12 +162,17 @@ def _of_drives(trace: Trace, shield: Shield) -> list[BrokenAssumption]:
 
 
 def _mean(sent: Floats, turned: Floats) -> float:
-    """Return how far ``turned`` (joints,) is from any mean of zero and the rows of ``sent`` (n, joints)."""
+    """Return how far ``turned`` (joints,) is from the nearest mean of commands.
+
+    A mean is any weighted mean of zero and the rows of ``sent`` (n, joints).
+    """
     from scipy.optimize import nnls  # takes long to import, and few drives need it
 
     if not np.isfinite(turned).all():
         return np.inf
     scale = max(float(np.abs(sent).max()), 1e-12)
+    # Non-negative weights with the sum 1, where the last column is the command 0. The scale gives all rows a
+    # similar size.
     rows = np.vstack([sent.T / scale, np.ones(len(sent))])
     weights, _ = nnls(np.hstack([rows, np.eye(len(rows))[:, -1:]]), np.append(turned / scale, 1.0))
     return float(np.abs(product(weights[:-1], sent) - turned).max())

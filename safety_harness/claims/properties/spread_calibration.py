@@ -1,7 +1,8 @@
-"""Judge the calibration of an avoider's spread over many runs: how often its intervals hold the target.
+"""Judge over many runs how often the intervals of an avoider's spread contain the target.
 
-A single run does not show calibration, since one decision is either covered or not. The runs must be drawn
-independently of their outcomes, for example as draws of a space. Runs that a search chose are not evidence.
+A single run does not show calibration, because one interval either contains the target or does not. The runs
+must be drawn independently of their outcomes, for example as draws of a space. Runs that a search chose are
+not evidence.
 """
 
 from __future__ import annotations
@@ -28,12 +29,13 @@ from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.trace import Trace
 
 READ = (*PROPOSAL, "decision.seed", "decision.proposed_spread_m")
+# A choice: for a coverage of 95 %, the confidence interval of 100 decisions is 10 percentage points wide.
 LEAST_DECISIONS = 100
 AT_LEAST = 0.90  # least coverage of 95 % intervals; some hundred runs can tell this difference
 
 
 class Target(Enum):
-    """The target that intervals are to hold."""
+    """The target that the intervals should contain."""
 
     LABEL = "eq. 13 with candidates drawn afresh"  # the target of most networks' training and calibration
     OPTIMUM = "eq. 13 with the continuous optimum"  # exact: no label is nearer to the desired position
@@ -41,7 +43,10 @@ class Target(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class IntervalRule:
-    """The interval prediction +- ``multiplier`` (spread^2 + residual^2)^(1/2) by axis [m], and its target."""
+    """The interval of a prediction on each axis [m], and its target.
+
+    The interval is the prediction +- ``multiplier`` (spread^2 + residual^2)^(1/2).
+    """
 
     multiplier: float
     residual_std_m: Vector3
@@ -49,7 +54,11 @@ class IntervalRule:
 
     @classmethod
     def from_model(cls, model: Model) -> IntervalRule | None:
-        """Return the rule of a model's calibration for its card's target; None without a calibration."""
+        """Return the rule that a model's calibration defines.
+
+        The target of the rule is the target that the model's card states. The result is None if the model has
+        no calibration.
+        """
         if model.calibration is None:
             return None
         recipe = model.card.get("recipe")
@@ -63,15 +72,17 @@ class IntervalRule:
 
 @dataclass(frozen=True, kw_only=True)
 class SpreadCalibration:
-    """The claim that the share ``at_least`` of decisions has the target within the interval on all axes.
+    """The claim that the interval contains the target in at least the fraction ``at_least`` of decisions.
 
-    Only the first answered decision of each run counts, because later decisions of the run depend on it. The
-    verdict depends on the exact 95 % interval (Clopper and Pearson) of the share. It is *holds* if the whole
-    interval is at least ``at_least``, and *violated* if the whole interval is less. Otherwise, and with fewer
-    than 100 decisions, it is *inconclusive*. The margin is the distance from the nearer end of that interval
-    to ``at_least``.
+    The interval must contain the target on all axes. The claim uses only the first answered decision of each
+    run, because the later decisions of a run are not independent of its first decision. The verdict depends
+    on the exact 95 % confidence interval (Clopper and Pearson) of this fraction. It is *holds* if the whole
+    confidence interval is at least ``at_least``, and *violated* if the whole confidence interval is below.
+    Otherwise the verdict is *inconclusive*; it is also *inconclusive* if there are fewer than 100 decisions.
+    The margin is the difference between the nearer end of the confidence interval and ``at_least``.
 
-    By default, ``intervals`` are those of the shipped network that the runs name.
+    By default, ``intervals`` is the rule of the avoider that made the runs. This avoider must then be a
+    shipped network.
     """
 
     at_least: float = AT_LEAST
@@ -80,7 +91,7 @@ class SpreadCalibration:
 
     @property
     def sentence(self) -> str:
-        """Return the sentence of reports."""
+        """Return the sentence that reports use."""
         return f"95 % intervals hold the target in at least {self.at_least * 100.0:g} % of decisions"
 
     def evaluate(self, traces: Iterable[Trace]) -> Evaluation:
@@ -119,7 +130,10 @@ def _shipped(avoider: str) -> IntervalRule | None:
 
 
 def first_covered(trace: Trace, intervals: IntervalRule) -> bool | None:
-    """Return whether a run's first answered decision has its target in the interval; None without one."""
+    """Return whether the interval of a run's first answered decision contains the target.
+
+    The result is None if the run has no answered decision.
+    """
     answered = proposals(trace)
     if not len(answered):
         return None
@@ -131,7 +145,10 @@ def first_covered(trace: Trace, intervals: IntervalRule) -> bool | None:
 
 
 def target_in_base_m(decision: np.void, settings: Settings, target: Target) -> NDArray[np.float64]:
-    """Return (3,) the target by eq. 13 of a decision's question, with candidates from the decision's seed."""
+    """Return the target (3,) by eq. 13 for a decision's question.
+
+    If the computation of the target needs candidates, they are drawn with the decision's seed.
+    """
     oracle = NearestCandidate.for_cell(settings)
     hand, tcp = decision["hand_position_in_base_m"], decision["tcp_position_in_base_m"]
     if target is Target.LABEL:

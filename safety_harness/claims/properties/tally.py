@@ -1,4 +1,7 @@
-"""Count how often the runs of a suite exercised each claim; a claim never exercised is not evidence."""
+"""Count how often the runs of a suite exercised each claim.
+
+A claim that was never exercised is not evidence.
+"""
 
 from __future__ import annotations
 
@@ -49,13 +52,16 @@ A_LOG, NO_WORLD = "a log", "no world"
 def basis(
     worlds: Iterable[str], exercised: Iterable[tuple[int, int]] | str, unwatched: Iterable[str] = UNWATCHED
 ) -> str:
-    """Return a sentence on what verdicts rest on: the worlds, the exercising runs, and what was not watched.
+    """Return a sentence that describes the basis of verdicts.
+
+    The sentence states the worlds, how many runs exercised the claims, and the assumptions that no run
+    checked.
 
     Args:
         worlds: Names such as "PyBullet".
-        exercised: For each claim, the number of runs that exercised it and the number of all its runs; or
-            words on the runs.
-        unwatched: The assumptions that no run checked; the sentence shows their names.
+        exercised: For each claim, the number of runs that exercised it and the number of all its runs; or a
+            text on the runs.
+        unwatched: The assumptions that no run checked; the sentence contains their names.
 
     """
     if not isinstance(exercised, str):
@@ -71,7 +77,7 @@ def basis(
 
 
 def short_basis(basis: str) -> str:
-    """Return the sentence ``basis`` without the names of what was not watched."""
+    """Return the sentence ``basis`` without the list of unwatched assumptions."""
     head, watched, _ = basis.partition("; nothing watched: ")
     return head + ("; what nothing watched: see the report, or -v" if watched else "")
 
@@ -85,7 +91,10 @@ def made_in(trace: Trace) -> str:
 
 
 def basis_of_tallies(worlds: Iterable[str], tallies: Iterable[ClaimTally]) -> str:
-    """Return the basis of judged runs; ``worlds`` determine what was not watched."""
+    """Return the sentence that ``basis`` writes for judged runs.
+
+    The worlds determine which assumptions no run checked.
+    """
     distinct = list(dict.fromkeys(worlds))
     simulated = UNWATCHED if not distinct or set(distinct) != {A_LOG} else ()
     of_logs = UNWATCHED_IN_LOGS if A_LOG in distinct else ()
@@ -112,14 +121,15 @@ class Judged:
 
 @dataclass(frozen=True, kw_only=True)
 class ClaimTally:
-    """The results of one claim's sentence over all runs of a suite.
+    """The results of one claim over all runs of a suite.
 
-    ``runs`` counts the runs that judged the claim, ``exercised`` those that exercised it, and ``occasions``
-    how often in total. ``unmeasured`` counts runs that are inconclusive because columns were not measured;
-    they never count as tests. ``worst`` is the outcome with the least margin, None without a margin. The
-    claim is ``untested`` if an author expected a conclusive verdict in some runs, and none of these runs
-    tested it. Then ``nearest`` is the one of them with the least margin, or without margins the first by
-    name. A violation counts as a test even without an occasion.
+    ``runs`` is the number of runs that judged the claim, and ``exercised`` is the number of runs that
+    exercised it. ``occasions`` is the number of occasions in all runs. ``unmeasured`` is the number of runs
+    that are inconclusive because columns were not measured. Such runs never count as tests. ``worst`` is the
+    outcome with the least margin, or None if no outcome has a margin. The claim is ``untested`` if an author
+    expected a conclusive verdict in some runs, but no such run tested the claim. In this case, ``nearest`` is
+    the outcome that has the least margin among those runs. If no such run has a margin, it is the outcome
+    whose run has the first name. A violation counts as a test even without an occasion.
     """
 
     sentence: str
@@ -136,18 +146,18 @@ class ClaimTally:
 
     @property
     def untested(self) -> bool:
-        """Return whether an author expected a conclusive verdict, and no such run tested the claim."""
+        """Return whether an author expected a conclusive verdict although no such run tested the claim."""
         return self.nearest is not None
 
     @property
     def never(self) -> str:
-        """Return what an ``untested`` claim lacked, in words: a measurement, or an occasion."""
+        """Return "not measured" or "never exercised", depending on why an ``untested`` claim has no test."""
         unmeasured = self.nearest is not None and self.nearest.evaluation.unmeasured
         return "not measured" if unmeasured else "never exercised"
 
     @property
     def worst_words(self) -> str:
-        """Return the least margin with its time and run in words, or a dash."""
+        """Return the least margin, its time and its run as text, or a dash."""
         if self.worst is None:
             return "-" if self.applicable else "not applicable"
         time_s = self.worst.evaluation.worst_time_s
@@ -201,14 +211,17 @@ def _margin(outcome: Judged) -> float:
 
 
 def _nearness(outcome: Judged) -> tuple[float, str, str, str, str]:
-    """Return a key that sorts outcomes by their margins, or else by their texts."""
+    """Return a sort key that orders outcomes by their margins.
+
+    Outcomes without margins are ordered by their texts.
+    """
     evaluation = outcome.evaluation
     margin = _margin(outcome) if isfinite(_margin(outcome)) else inf
     return margin, outcome.run, evaluation.reason, evaluation.verdict.value, outcome.expected.value
 
 
 def far_lines(tallies: Sequence[ClaimTally]) -> list[str]:
-    """Return a note on each claim that held without any run near its limit."""
+    """Return a note on each claim that held although no run came near its limit."""
     worst = [tally.worst.evaluation for tally in tallies if tally.worst is not None]
     far = [
         (tally.sentence, far_words(tally.close, tally.margin))
@@ -219,7 +232,10 @@ def far_lines(tallies: Sequence[ClaimTally]) -> list[str]:
 
 
 def untested_lines(tallies: Sequence[ClaimTally]) -> list[str]:
-    """Return lines on claims that were never exercised or not measured, and what the nearest run lacked."""
+    """Return lines on the claims that were never exercised or not measured.
+
+    The lines include the reason of the nearest run.
+    """
     lines = []
     for never in ("never exercised", "not measured"):
         untested = [(t.sentence, t.nearest) for t in tallies if t.nearest is not None and t.never == never]
@@ -232,7 +248,10 @@ def untested_lines(tallies: Sequence[ClaimTally]) -> list[str]:
 
 
 def table_lines(tallies: Sequence[ClaimTally], most: int | None = None) -> list[str]:
-    """Return the lines of a ``table`` of ``tallies``, with a mark for claims that were never exercised."""
+    """Return the lines of a ``table`` of ``tallies``.
+
+    Claims that were never tested have a mark.
+    """
     return table(HEADINGS, map(_cells, tallies), most, named_by=1, right=range(1, 7))
 
 
@@ -252,10 +271,11 @@ def table(
     named_by: int = 2,
     right: range = range(0),
 ) -> list[str]:
-    """Return the lines of a table with columns as wide as needed; columns in ``right`` are right-aligned.
+    """Return the lines of a table whose columns are as wide as needed.
 
-    Without rows there are no lines. If the table is wider than ``most`` characters, each row becomes two
-    lines: its first ``named_by`` cells, and a list of the other cells.
+    Columns in ``right`` are right-aligned. A table without rows has no lines. If the table is wider than
+    ``most`` characters, each row becomes two lines: its first ``named_by`` cells, and a list of the other
+    cells.
     """
     cells = [tuple(head), *map(tuple, rows)]
     if len(cells) == 1:

@@ -1,4 +1,7 @@
-"""Judge that no moving part touches a hand; a hand may touch an arm that stands."""
+"""Check that no moving part touches a hand.
+
+Contact with an arm that stands still is allowed.
+"""
 
 from __future__ import annotations
 
@@ -40,10 +43,11 @@ from safety_harness.trace.trace import Trace, once_a_trace
 
 
 def _ends(prop: NoMovingPartTouches, trace: Trace, margin_m: float) -> tuple[float, float, bool]:
-    """Return the margin's ends, as ``reads`` expects, and whether the claim was exercised.
+    """Return the margin's bounds for ``reads``, and whether the claim was exercised.
 
-    The lower end takes the distance of any part, because every part may move unseen. The upper end takes
-    parts that are nearest at a tick and surely turn in the period that begins there.
+    The lower bound uses the distances of all parts, because any part may have moved by less than the
+    uncertainty of the joints. The upper bound uses only the parts that are the nearest part at a tick and
+    certainly turn in the period after that tick.
     """
     at_ticks_m, between_m = distance_moved_m(trace)
     off_m, true, surely_m = np.maximum(at_ticks_m, between_m), true_motion(trace), np.inf
@@ -60,7 +64,10 @@ def _ends(prop: NoMovingPartTouches, trace: Trace, margin_m: float) -> tuple[flo
 
 
 def _nearest_links(trace: Trace, hand: int) -> NDArray[np.int64]:
-    """Return (n,) the link whose part is nearest to ``hand`` at each tick; -1 if the trace names no part."""
+    """Return the link whose part is nearest to ``hand`` at each tick, shape (n,).
+
+    The link is -1 if the trace states no part.
+    """
     links, part = capsules_of(trace).link_index, trace.ticks["hand_distance_capsule"][:, hand]
     there = (part >= 0) & (part < len(links))
     nearest: NDArray[np.int64] = np.where(there, links[np.where(there, part, 0)], -1)
@@ -69,13 +76,14 @@ def _nearest_links(trace: Trace, hand: int) -> NDArray[np.int64]:
 
 @dataclass(frozen=True, kw_only=True)
 class NoMovingPartTouches:
-    """The least distance of any hand from any part of the arm while that part moves.
+    """The claim that no part of the arm touches a hand while that part moves.
 
-    A part moves in a tick if any joint between it and the base turns by at least STANDSTILL_RADPS times the
-    period. The base never moves. Distances are surface to surface, and bounded between ticks, as for
-    ``HandDistance``. At zero the part touches the hand, and in penetration the margin is negative.
+    The margin is the least distance of any hand from any part while that part moves. A part moves in a tick
+    if any joint between it and the base turns by at least STANDSTILL_RADPS times the period. The base never
+    moves. Distances are from surface to surface. Between ticks they are bounded as for ``HandDistance``. At a
+    margin of zero the part touches the hand, and in penetration the margin is negative.
 
-    A run exercises the claim if a hand comes within ``near_m`` of the arm, and the arm moves at any time of
+    A run exercises the claim if a hand comes within ``near_m`` of the arm and the arm moves at some time of
     the run.
     """
 
@@ -98,9 +106,10 @@ class NoMovingPartTouches:
 
 
 def theorem_words(trace: Trace, evaluation: Evaluation) -> str:
-    """Return words on what a run shows of its shield's theorem, next to the verdict on touches; may be empty.
+    """Return a text on whether the run refutes its shield's theorem, or why the theorem does not apply.
 
-    The verdict does not depend on whether the theorem applies.
+    The text is empty if the run has no shield, or if it agrees with the theorem. The verdict on touches does
+    not depend on whether the theorem applies.
     """
     if trace.scenario.shield is None or len(trace.ticks) == 0:
         return ""
@@ -125,7 +134,7 @@ def refutes_theorem(trace: Trace, evaluation: Evaluation) -> bool:
 
 
 def theorem_bits(trace: Trace) -> int:
-    """Return the bits of a run for ``counts_words``; 0 if the run has no shield."""
+    """Return the bits of a run for ``counts_words``, or 0 if the run has no shield."""
     if trace.scenario.shield is None or len(trace.ticks) == 0:
         return 0
     refuted = refutes_theorem(trace, NO_MOVING_PART_TOUCHES.prop.evaluate(trace))
@@ -141,7 +150,10 @@ def _nearest_moving(trace: Trace) -> Nearest:
 
 @once_a_trace
 def first_turning(trace: Trace) -> NDArray[np.int64]:
-    """Return (n - 1,) the first joint from the base that turns in each tick, or else the number of joints."""
+    """Return the first joint from the base that turns in each tick, shape (n - 1,).
+
+    If no joint turns, the entry is the number of joints.
+    """
     joints_rad = true_motion(trace).joints_rad
     period_s = trace.scenario.settings.clock.control_period_s
     turns = np.abs(np.diff(joints_rad, axis=0)) >= STANDSTILL_RADPS * period_s
@@ -150,7 +162,10 @@ def first_turning(trace: Trace) -> NDArray[np.int64]:
 
 
 def closest_moving(trace: Trace, paths: HandPaths) -> Nearest:
-    """Return the closest approach of any hand to a moving part; infinite without a moving part."""
+    """Return the closest approach of any hand to a moving part.
+
+    If no part moves, the distance is infinite.
+    """
     best = Nearest()
     hand_size = trace.scenario.settings.hand
     for hand in range(len(trace.scenario.hands)):
@@ -161,6 +176,7 @@ def closest_moving(trace: Trace, paths: HandPaths) -> Nearest:
         lower_m = _lower_bounds(arm_of(trace).reach_m, joints_rad, hand_m, elbow_m, distance_m, slack_m)
         met = (nearest[tick_before] > first) & (at[:-1] == tick_before) & (first < joints_rad.shape[1])
         most_m = distance_m[:-1][met].min(initial=np.inf)  # the result is not above it
+        # While the same joint is the first to turn, the same parts move.
         for begin, end in _runs(first):
             if first[begin] == joints_rad.shape[1]:
                 continue  # it stands
@@ -196,9 +212,13 @@ def _lower_bounds(
     distance_m: NDArray[np.float64],  # (n,) infinite where it is not known
     slack_m: NDArray[np.float64],  # (n - 1,)
 ) -> NDArray[np.float64]:
-    """Return (n - 1,) lower bounds of ``closest_between``'s distances from each instant to the next."""
+    """Return lower bounds of the distances in ``closest_between``, shape (n - 1,).
+
+    Each bound covers the time from an instant to the next.
+    """
     lower_m, left_m = np.empty(slack_m.shape[0]), -np.inf
     for k in range(slack_m.shape[0]):
+        # A stored distance is exact, so the bound starts from it again.
         if distance_m[k] != np.inf:  # it is known
             left_m = distance_m[k]
         left_m -= displacement_m(reach_m, joints_rad, hand_m, elbow_m, k)
@@ -207,13 +227,16 @@ def _lower_bounds(
 
 
 def _runs(first: NDArray[np.int64]) -> list[tuple[int, int]]:
-    """Return the beginning of each stretch of equal values in ``first``, and the first index after it."""
+    """Return the beginning of each stretch of equal values in ``first``, and its end.
+
+    The end is the first index after the stretch.
+    """
     cuts = (np.flatnonzero(np.diff(first)) + 1).tolist()
     return list(zip([0, *cuts], [*cuts, len(first)], strict=True)) if len(first) else []
 
 
 def _distal_part(arm: Arm, joint: int) -> Arm:
-    """Return the arm with only the capsules that ``joint`` moves."""
+    """Return the arm, reduced to the capsules that move when ``joint`` turns."""
     return Arm(arm.chain, _moved(arm.capsules.tobytes(), arm.capsules.dtype, joint), arm.reach_m)
 
 
@@ -228,9 +251,11 @@ def _moved(capsules: bytes, dtype: np.dtype[np.void], joint: int) -> NDArray[np.
 def _known(
     distance_m: NDArray[np.float64], at: NDArray[np.float64], moves: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """Return the distance at each instant whose nearest part moves, or else inf, which must then be computed.
+    """Return the known distances of moving parts at each instant, shape (k,).
 
-    The memory layout is that of ``distance_m`` (k,), since compiled code distinguishes arrays by it.
+    At an instant without a known distance, the result is inf. A distance is known at a tick at which the
+    nearest part of the arm moves. The memory layout is that of ``distance_m`` (k,), because compiled code
+    distinguishes arrays by their layout.
     """
     whole = at == np.floor(at)
     known_m = np.empty((len(at), 1 if distance_m.flags.c_contiguous else 2))[:, 0]
@@ -241,13 +266,18 @@ def _known(
 
 NO_MOVING_PART_TOUCHES = CatalogueEntry(
     prop=NoMovingPartTouches(near_m=NEAR_M),
-    rationale="a person may touch the arm at any time, or even run into it, but an arm that moves can hurt",
-    source="speed and separation monitoring: the arm stops before a person is there",
-    margin="least distance between the surfaces of any hand or forearm and any part of the arm, "
-    "over the ticks in which that part moves; between ticks a guaranteed bound",
+    rationale=(
+        "a person may touch a stationary arm, or even run into it, but a moving arm can hurt the person"
+    ),
+    source="speed and separation monitoring: the arm stops before a person reaches it",
+    margin=(
+        "the least distance of the surface of any hand or forearm from the surface of any "
+        "part of the arm, over the ticks in which that part moves. Between ticks, it is a "
+        "guaranteed lower bound"
+    ),
     parameters="the sizes of the hands in the settings; a part stands still if its joints turn by less "
     "than 1 mrad/s",
     exercised="a hand comes within 400 mm of the arm's surface, and the arm moves in that run",
-    inconclusive="a hand is not where its scenario moves it, or the arm did not move beside a hand",
-    broken_by="an avoider that heads for the hand, behind a gate that passes everything",
+    inconclusive="a hand deviates from the motion in its scenario, or the arm did not move beside a hand",
+    broken_by="an avoider that moves towards the hand, behind a gate that accepts every proposal",
 )

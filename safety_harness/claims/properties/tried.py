@@ -1,7 +1,8 @@
-"""Find the parts of scenarios that no run exercised: moves that never began, and faults that never acted.
+"""Find the parts of scenarios that no run exercised: moves that never began, and inactive faults.
 
-For a space, find also the values that only vary these parts. A verdict covers neither. A fault of a hand
-sensor counts as exercised if it acts while a hand is within twice NEAR_M of the TCP.
+For a space, also find the varied values that affect only parts that no run exercised. A verdict does not
+cover these parts and values. A fault of a hand sensor is exercised if it is active while a hand is within
+twice NEAR_M of the TCP.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from safety_harness.scenario.write import write_scenario
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.trace.trace import Trace
 
+# A choice for a hypothetical run: a hand at 2 m/s moves by 100 mm in a step.
 STEP_S = 0.05
 UNTRIED = "untried in"
 LOOKED_AT = 60  # draws of a space, for those that use a value
@@ -35,21 +37,24 @@ _NAMES = {table.kind: table.name for table in MOVES}
 
 @dataclass(eq=False)
 class TriedParts:
-    """A record of each scenario's moves and faults, by its title, that tells which ones any run exercised."""
+    """A record of the moves and faults of each scenario.
+
+    It states which of them at least one run exercised. Its keys are the titles of the scenarios.
+    """
 
     runs: dict[str, int] = field(default_factory=dict)
     parts: dict[str, dict[str, bool]] = field(default_factory=dict)
 
     @classmethod
     def from_traces(cls, *traces: Trace) -> TriedParts:
-        """Return the record of the runs ``traces``."""
+        """Return the record of which parts the runs ``traces`` exercised."""
         tried = cls()
         for trace in traces:
             tried.add(trace)
         return tried
 
     def add(self, trace: Trace) -> None:
-        """Add a run; a run that was cut short does not count."""
+        """Add a run, unless it was cut short."""
         scenario, parts = trace.scenario, dict(_parts(trace.scenario))
         if not (parts and trace.complete):
             return
@@ -63,7 +68,7 @@ class TriedParts:
         self.join(scenario.title, dict(zip(parts, [*begun, *faults], strict=True)))
 
     def suppose(self, scenario: Scenario, tcp_in_base_m: NDArray[np.float64]) -> None:
-        """Add a possible run of ``scenario``, as if the TCP stayed at ``tcp_in_base_m`` (3,)."""
+        """Add a hypothetical run of ``scenario``, in which the TCP stays at ``tcp_in_base_m`` (3,)."""
         times_s = np.arange(0.0, scenario.duration_s + STEP_S, STEP_S)
         begun, nearest_m = moves_begun(scenario, np.tile(tcp_in_base_m, (len(times_s), 1)), STEP_S)
         near_s = times_s[nearest_m < 2.0 * NEAR_M]
@@ -77,16 +82,19 @@ class TriedParts:
         self.join(scenario.title, dict(zip(dict(_parts(scenario)), [*begun, *faults], strict=True)))
 
     def join(self, title: str, parts: dict[str, bool], runs: int = 1) -> None:
-        """Add ``runs`` runs of the scenario ``title``, with whether they exercised each of ``parts``."""
+        """Add ``runs`` runs of the scenario ``title``.
+
+        ``parts`` states for each part whether these runs exercised it.
+        """
         known = self.parts.setdefault(title, {})
         known |= {part: tried or known.get(part, False) for part, tried in parts.items()}
         self.runs[title] = self.runs.get(title, 0) + runs
 
     def lines(self, *spaces: ScenarioSpace, subject: str = "runs") -> list[str]:
-        """Return a line for each title with parts that no run exercised, on these parts.
+        """Return one line for each title with parts that no run exercised; the line lists these parts.
 
-        The line also names the values of ``spaces`` that only vary these parts. ``subject`` is the word for
-        the runs.
+        The line also lists the values of ``spaces`` that change only these parts. ``subject`` is the noun
+        that the text uses for the runs.
         """
         titled, lines = {space.title: space for space in spaces}, []
         for title, parts in self.parts.items():
@@ -113,10 +121,11 @@ def _parts(scenario: Scenario) -> Iterator[tuple[str, object]]:
 def moves_begun(
     scenario: Scenario, tcp_in_base_m: NDArray[np.float64], period_s: float
 ) -> tuple[list[bool], NDArray[np.float64]]:
-    """Return whether each move began, hand by hand, if the TCP is at ``tcp_in_base_m`` (n, 3).
+    """Return whether each move of each hand began.
 
-    The TCP's positions are one ``period_s`` apart.  Also return (n,) the distance of the nearest hand from
-    the TCP.
+    It is assumed that the TCP moves along ``tcp_in_base_m`` (n, 3). Successive positions of the TCP are
+    ``period_s`` apart in time. The second result is the distance of the nearest hand from the TCP, shape
+    (n,).
     """
     hands = hands_at_start(scenario)
     tcp_m = np.ascontiguousarray(tcp_in_base_m)
@@ -142,7 +151,10 @@ def _follow(
     tcp_in_base_m: NDArray[np.float64],  # (n, 3)
     period_s: float,
 ) -> NDArray[np.float64]:
-    """Return (n,) the distance of the nearest hand from the TCP, and advance ``hands`` by n - 1 periods."""
+    """Return the distance of the nearest hand from the TCP, shape (n,).
+
+    This also advances ``hands`` by n - 1 periods.
+    """
     nearest_m = np.full(tcp_in_base_m.shape[0], np.inf)
     for k in range(tcp_in_base_m.shape[0]):
         for hand in range(hands.shape[0]):
@@ -157,7 +169,7 @@ def _follow(
 
 
 def untried_values(space: ScenarioSpace, idle: list[str]) -> list[str]:
-    """Return the names of the values of ``space`` that change only the parts ``idle``."""
+    """Return the names of the varied values of ``space`` that affect only the parts ``idle``."""
     rows, untried = space.values_of_draws(range(LOOKED_AT), 0), []
     for parameter, used in zip(space.parameters, space.used_by(rows), strict=True):
         changed: set[str] = set()
@@ -172,7 +184,10 @@ def untried_values(space: ScenarioSpace, idle: list[str]) -> list[str]:
 
 
 def _differing(first: Scenario, second: Scenario) -> set[str]:
-    """Return the moves and faults in which two scenarios differ, and "" for any other difference."""
+    """Return the names of the moves and faults that differ between two scenarios.
+
+    If the scenarios differ in anything else, the result also contains "".
+    """
     (mine, rest), (theirs, of_other) = (_split(scenario) for scenario in (first, second))
     changed = {part for part in mine.keys() | theirs.keys() if mine.get(part) != theirs.get(part)}
     return changed if rest == of_other else {*changed, ""}

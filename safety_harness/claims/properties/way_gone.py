@@ -1,9 +1,9 @@
-"""Judge the onset, direction, speed and end of a repulsion, each by itself.
+"""Judge separately the onset, the direction, the speed and the end of a repulsion.
 
-Each has the finest resolution that raises no alarm for the twelve harmless changes of
-``tests/claims/properties/harmless.py``, in both worlds. If the scenario states that its drives are late,
-their dead time and lag count as additional cycles. The cone of the direction is then wider by the angle that
-the arm turns meanwhile.
+Each judgement has the finest resolution at which the twelve harmless changes of
+``tests/claims/properties/harmless.py`` raise no alarm, in both worlds. If the scenario states a dead time and
+a lag of its drives, the motion may begin later by this time, counted in whole cycles. The cone of the
+direction is then wider by the angle through which the arm turns in that time.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from safety_harness.scenario.robots import OwnRobot
 from safety_harness.trace.records import Limit
 from safety_harness.trace.trace import Trace
 
-OFF_RAD = radians(1.0)
+OFF_RAD = radians(1.0)  # half the angle of the cone; a late drive widens it, up to MOST_OFF_RAD
 LEVER_M = 0.5  # radius about which an arm turns: the least that raises no alarm
 MOST_OFF_RAD = radians(5.0)
 SHORT_M = 0.001  # beyond the arrival tolerance
@@ -43,10 +43,10 @@ Vector = NDArray[np.float64]  # (3,)
 def way_gone(
     trace: Trace, number: int, target_in_base_m: Vector, cycles: int, where: str
 ) -> tuple[dict[str, list[Finding]], bool]:
-    """Judge the repulsion of decision ``number`` by the straight way to a target, which ``where`` names.
+    """Judge the repulsion of decision ``number`` against the straight way to a target.
 
-    The target is ``target_in_base_m`` (3,).  Returns the findings by part, and whether there was time for 10
-    mm of way.
+    ``where`` describes the target in the findings. The target is ``target_in_base_m`` (3,). The results are
+    the findings, each under the name of its part, and whether the repulsion had time for a way of 10 mm.
     """
     period_s = trace.scenario.settings.clock.control_period_s
     allowed = cycles + sum(ceil(one_s / period_s - 1e-9) for one_s in _delays_s(trace))
@@ -72,7 +72,7 @@ def _delays_s(trace: Trace) -> tuple[float, ...]:
 
 
 def _change(trace: Trace, tick: int, target_in_base_m: Vector) -> tuple[Vector, float, float]:
-    """Return the velocity change (3,) that the way needs, that allowed in a tick, and the lateral speed."""
+    """Return the needed velocity change (3,), the change allowed in one tick, and the lateral speed."""
     avoidance, period_s = trace.scenario.settings.avoidance, trace.scenario.settings.clock.control_period_s
     displacement = target_in_base_m - trace.ticks["transform_tcp_to_base"][tick, :3, 3]
     along, velocity = displacement / max(length(displacement), 1e-9), velocity_at(trace, tick)
@@ -82,7 +82,10 @@ def _change(trace: Trace, tick: int, target_in_base_m: Vector) -> tuple[Vector, 
 
 
 def _onset(trace: Trace, first: int, last: int, target_in_base_m: Vector, allowed: int) -> list[Finding]:
-    """Return a finding on the ticks until the TCP's velocity changes as the way needs, converted to a way."""
+    """Return a finding on how many ticks pass before the TCP's velocity changes as needed.
+
+    The ticks are converted to a distance.
+    """
     change, step_mps, _ = _change(trace, first, target_in_base_m)
     most_mps = length(change)
     if most_mps < 0.1 * step_mps or last - first <= allowed:
@@ -103,7 +106,7 @@ def _onset(trace: Trace, first: int, last: int, target_in_base_m: Vector, allowe
 def _direction(trace: Trace, start: int, last: int, target_in_base_m: Vector, where: str) -> list[Finding]:
     """Return a finding on how far [m] the TCP leaves the cone to the target.
 
-    The cone begins after 10 mm of way, and when the TCP has turned to the target.
+    The cone applies once the TCP has both moved by 10 mm and turned to the target.
     """
     tcp_in_base = trace.ticks["transform_tcp_to_base"][start : last + 1, :3, 3]
     change, step_mps, aside_mps = _change(trace, start, target_in_base_m)
@@ -135,7 +138,7 @@ def _direction(trace: Trace, start: int, last: int, target_in_base_m: Vector, wh
 
 
 def _end(trace: Trace, number: int, last: int, target_in_base_m: Vector, where: str) -> list[Finding]:
-    """Return a finding on the TCP's distance from ``where`` when its controller regards it as arrived."""
+    """Return a finding on the TCP's distance from ``where`` when the controller ends the repulsion."""
     if not arrival_claimed(trace, number, last):
         return []
     tcp_in_base = trace.ticks["transform_tcp_to_base"][last, :3, 3]

@@ -1,4 +1,4 @@
-"""Judge that the arm acts only on answers to questions within the gate's region, which a proof covers."""
+"""Check that the arm acts only on answers to questions within the gate's region, which a proof covers."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from safety_harness.trace.trace import Trace
 
 @dataclass(frozen=True, kw_only=True)
 class ActedWithinRegion:
-    """The claim that each answer on which the arm acted is to a question within the region of the gate.
+    """The claim that the arm acts on an answer only if its question is within the gate's region.
 
-    The margin is how far the question's hand and TCP lie within their boxes, least over axes.
+    The margin is the least depth of the question's hand and TCP inside their boxes, over all axes.
     """
 
     unit: Unit = Unit.LENGTH
@@ -49,13 +49,16 @@ class ActedWithinRegion:
 
 WITHIN_REGION = CatalogueEntry(
     prop=ActedWithinRegion(),
-    rationale="a proof about the answers in a region is worthless in the loop if the arm also acts on "
-    "other answers",
+    rationale=(
+        "a proof about the answers in a region is worthless in the control loop if the arm "
+        "also acts on other answers"
+    ),
     source="the project's own: the run-time check of a proven region",
-    margin="least distance by axis between the hand and the TCP of a question and the surfaces of "
-    "their boxes",
+    margin=(
+        "the least distance along any axis between a query's hand or TCP and the surface of the box for it"
+    ),
     parameters="the scenario's `gate: {questions within: ...}`",
     exercised="the gate has a region, and the arm acted on an answer",
     scenario="proven-region",
-    broken_by="a gate that does not check whether a question is within its region",
+    broken_by="a gate that does not check whether a query is within the region",
 )

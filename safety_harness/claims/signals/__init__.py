@@ -1,1 +1,1 @@
-"""Signals of a trace: values at the ticks, bounds between them, and the errors of both."""
+"""Signals of a trace: values at the ticks, bounds between the ticks, and the errors of values and bounds."""

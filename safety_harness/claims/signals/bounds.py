@@ -1,4 +1,4 @@
-"""Compute bounds of a signal between two ticks, and their errors, for numbers or arrays.
+"""Compute bounds of a signal between two ticks, and the errors of these bounds, for numbers or arrays.
 
 Compiled code can call these functions, so that a monitor computes the same bounds as a log.
 """
@@ -17,10 +17,11 @@ jitable: Callable[[Function], Function] = register_jitable  # compiled code can 
 
 @jitable
 def lipschitz_bounds(first: Any, second: Any, variation: Any, slack: Any) -> tuple[Any, Any]:
-    """Return bounds of a signal that varies by at most ``variation`` on its way from ``first`` to ``second``.
+    """Return bounds of a signal that changes from ``first`` to ``second``.
 
-    After a part x of that way, the signal differs by at most x from ``first``, and by at most variation - x
-    from ``second``. ``slack`` is an additional error of the signal, which widens the bounds.
+    The signal's path between the two values has a length of at most ``variation``. At a distance x along this
+    path, the signal differs from ``first`` by at most x, and from ``second`` by at most ``variation`` - x.
+    ``slack`` is an additional error of the signal, which widens the bounds.
     """
     low = np.minimum(0.5 * (first + second - variation), np.minimum(first, second)) - slack
     return low, np.maximum(0.5 * (first + second + variation), np.maximum(first, second)) + slack
@@ -28,9 +29,10 @@ def lipschitz_bounds(first: Any, second: Any, variation: Any, slack: Any) -> tup
 
 @jitable
 def cells(value: Any, variation: Any, slack: Any) -> tuple[Any, Any]:
-    """Return the ``lipschitz_bounds`` (n,) of a signal ``value`` (n,) from each tick to the next.
+    """Return bounds (n,) of a signal ``value`` (n,) from each tick to the next, by ``lipschitz_bounds``.
 
-    The last bounds are those at the last tick. ``variation`` is (n-1,), and ``slack`` is (n-1,) or a number.
+    The last bounds are those at the last tick itself. ``variation`` is (n-1,), and ``slack`` is (n-1,) or a
+    number.
     """
     low, high = value.copy(), value.copy()
     low[:-1], high[:-1] = lipschitz_bounds(value[:-1], value[1:], variation, slack)
@@ -39,7 +41,10 @@ def cells(value: Any, variation: Any, slack: Any) -> tuple[Any, Any]:
 
 @jitable
 def or_next(value: Any) -> Any:
-    """Return the larger of each tick's ``value`` (n, ...) and the next tick's; NaN if either is NaN."""
+    """Return the larger of each tick's ``value`` (n, ...) and the next tick's value.
+
+    The result is NaN if either value is NaN.
+    """
     larger = value.copy()
     larger[:-1] = np.maximum(value[:-1], value[1:])
     return larger
@@ -47,14 +52,18 @@ def or_next(value: Any) -> Any:
 
 @jitable
 def speed_cell(first: Any, second: Any, mean: Any) -> tuple[Any, Any]:
-    """Return bounds of a joint's speed between two ticks, by both ticks' speeds and the mean in between."""
+    """Return bounds of a joint's speed between two ticks.
+
+    They follow from the speeds at both ticks and the mean speed between them.
+    """
     return np.minimum(np.minimum(first, second), mean), np.maximum(np.maximum(first, second), mean)
 
 
 def speed_cells(at_ticks: Any, mean: Any) -> tuple[Any, Any, Any, Any]:
-    """Return the fastest joint's speed (n,) at the ticks, its bounds to the next tick, and its mean (n-1,).
+    """Return the fastest joint's speed at the ticks, its two bounds to the next tick, and its mean.
 
-    ``at_ticks`` is (n, joints), and ``mean`` is (n-1, joints).
+    The first three have the shape (n,), and the mean has the shape (n-1,). ``at_ticks`` is (n, joints), and
+    ``mean`` is (n-1, joints).
     """
 
     def largest(each: Any) -> Any:
@@ -70,28 +79,34 @@ def speed_cells(at_ticks: Any, mean: Any) -> tuple[Any, Any, Any, Any]:
 
 @jitable
 def place_between(at: Any, speed: Any, period_s: float) -> Any:
-    """Return the error of a place between ticks: that at the ticks, and half of the error of its way.
+    """Return the error of a position between ticks.
 
-    ``at`` is the error of the place at a tick, and ``speed`` is the error of its speed.
+    It is the error at the ticks, plus half of the error of the distance moved. ``at`` is the error of the
+    position at a tick, and ``speed`` is the error of the speed.
     """
     return at + 0.5 * np.maximum(speed * period_s, 2.0 * at)
 
 
 @jitable
 def speed_between(speed: Any, place: Any, period_s: float) -> Any:
-    """Return the error of a speed and of its mean over a period, by the errors of speed and place."""
+    """Return the larger of two errors: the error of a speed, and the error of the mean speed over a period.
+
+    The mean speed's error follows from the error ``place`` of the positions.
+    """
     return np.maximum(speed, 2.0 * place / period_s)
 
 
 @jitable
 def apart_between(hand: Any, elbow: Any, arm: Any, faster: Any, period_s: float) -> Any:
-    """Return the error of a hand's distance from the arm between ticks, including the bend of the joints.
+    """Return the largest error, between ticks, of the distance from a hand to the arm.
+
+    The error includes the deviation of the joints from linear motion.
 
     Args:
         hand: The error of the hand's position.
         elbow: The error of the elbow's position.
-        arm: The largest error of a point of the arm.
-        faster: The largest error of the speed of a point of the arm.
+        arm: The largest position error of any point of the arm.
+        faster: The largest speed error of any point of the arm.
         period_s: The control period.
 
     """
@@ -106,9 +121,9 @@ def velocity_off(reach_m: Any, turned_rad: Any, faster_radps: Any, rates_radps: 
 
     Args:
         reach_m: The lengths (joints,) of the chains of links that the joints move.
-        turned_rad: The error u (n,) of the joints.
-        faster_radps: The error u' (n,) of their speeds.
-        rates_radps: The speeds q' (n, joints).
+        turned_rad: The error u (n,) of the joints' positions.
+        faster_radps: The error u' (n,) of the joints' speeds.
+        rates_radps: The speeds q' (n, joints) of the joints.
 
     """
     farther_m = reach_m * np.arange(1, len(reach_m) + 1) + (reach_m.sum() - np.cumsum(reach_m))

@@ -1,4 +1,4 @@
-"""Compute the distance of hands from the robot at the ticks and between them, and its error."""
+"""Compute the distance of hands from the robot at the ticks and between them, and its errors."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ TURNED_RAD = 8.0 * np.pi  # four times the limits: beyond it an engine or a file
 
 
 def distance_moved_m(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (n,) the error [m] of hands' distances at the ticks, and (n,) between the ticks.
+    """Return the errors [m] of the hands' distances: at the ticks (n,), and between the ticks (n,).
 
-    Both are infinite if a hand heads for a TCP that was not measured everywhere and exactly.
+    Both are infinite if a hand heads for the TCP but the TCP was not measured exactly at all ticks.
     """
     known, count = trace.known, len(trace.ticks)
     if follows_unknown(trace):
@@ -55,7 +55,10 @@ def distance_moved_m(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.floa
 
 
 class Nearest(NamedTuple):
-    """Both bounds [m] of a least distance (inf without a hand), and the lower bound's time [s] and hand."""
+    """The lower and the upper bound [m] of the least distance of a hand.
+
+    Without a hand, both are inf. If no hand is present, both bounds are inf.
+    """
 
     low_m: float = np.inf
     time_s: float = 0.0
@@ -63,7 +66,10 @@ class Nearest(NamedTuple):
     high_m: float = np.inf
 
     def or_nearer(self, candidate: Nearest) -> Nearest:
-        """Return the nearer of this and ``candidate``, with the smaller upper bound of both."""
+        """Return this object or ``candidate``, whichever has the smaller lower bound.
+
+        The upper bound of the result is the smaller of both upper bounds.
+        """
         low = self if candidate.low_m >= self.low_m else candidate  # a NaN comes out
         return low._replace(high_m=min(self.high_m, candidate.high_m))
 
@@ -71,13 +77,17 @@ class Nearest(NamedTuple):
 def known_to(
     limit_m: float, nearest: Callable[[Trace, HandPaths], Nearest], trace: Trace, paths: HandPaths
 ) -> Nearest:
-    """Return the result of ``nearest``, with ``finer_paths`` if ``limit_m`` lies between its bounds."""
+    """Return the result of ``nearest``.
+
+    If ``limit_m`` lies between the bounds of the result, the function computes the result again with
+    ``finer_paths``.
+    """
     known = nearest(trace, paths)
     return nearest(trace, finer_paths(trace)) if known.low_m < limit_m <= known.high_m else known
 
 
 def followed_hands(trace: Trace) -> tuple[HandPaths | None, str]:
-    """Return the hands' paths, or None and the reason why the trace's hand distances cannot be judged."""
+    """Return the hands' paths, or None and the reason why ``trace`` has no usable hand distances."""
     if not trace.scenario.hands:
         return None, f"never exercised: {no_hand(trace)}"
     if (np.abs(history(trace, "joint_position_rad")) > TURNED_RAD).any():
@@ -98,8 +108,8 @@ def capsule_name(trace: Trace, tick: int, hand: int) -> str:
 def closest_approach(trace: Trace, paths: HandPaths, off_m: NDArray[np.float64] | None = None) -> Nearest:
     """Return the closest approach of any hand, at the ticks and between them.
 
-    The error ``off_m`` (n,) of each tick's distance is subtracted, and between two ticks the larger of both
-    errors.
+    ``off_m`` (n,) is the error of the distance at each tick, which is subtracted. Between two ticks, the
+    larger of both errors is subtracted.
     """
     settings = trace.scenario.settings
     best = Nearest()
@@ -129,7 +139,10 @@ def closest_between(
     size: Hand,
     paths: HandPaths,
 ) -> tuple[tuple[float, float], float]:
-    """Return both bounds of a hand's least distance [m] over ``instants``, and the lower's time in ticks."""
+    """Return both bounds of a hand's least distance [m] over ``instants``.
+
+    The second result is the time of the lower bound, in ticks.
+    """
     low_m, index, fraction, high_m = _closest_in_trace(
         arm,
         np.array(joints_rad, order="C"),
@@ -148,10 +161,11 @@ def closest_between(
 def ends_between(
     trace: Trace, paths: HandPaths, hand: int, *, from_tcp: bool = False
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return both bounds of a hand's least distance [m] between ticks, and the ways of hand and elbow [m].
+    """Return both bounds of a hand's least distance [m] between ticks.
 
-    Both results are (2, n-1); NaN stands for unknown. The distance is that from the arm, surface to surface,
-    or with ``from_tcp`` that from the TCP to the hand's centre.
+    The second result is how far [m] the hand and the elbow move. Both results are (2, n-1); NaN stands for
+    unknown. The distance is measured from the arm, surface to surface. If ``from_tcp`` is True, the distance
+    is measured from the TCP to the hand's centre.
     """
     own, bodies, size = paths.corner_hand == hand, [0, 0 if from_tcp else 1], trace.scenario.settings.hand
     true, arm = true_motion(trace), tcp_of(trace) if from_tcp else arm_of(trace)
@@ -170,7 +184,7 @@ def ends_between(
 
 @inlined
 def distance_m(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
-    """Return the distance [m] of two points, ``first`` (3,) and ``second`` (3,)."""
+    """Return the distance [m] between the points ``first`` (3,) and ``second`` (3,)."""
     x, y, z = second[0] - first[0], second[1] - first[1], second[2] - first[2]
     return float(np.sqrt(x * x + y * y + z * z))
 
@@ -187,15 +201,17 @@ def between_ticks(
     radii_m: tuple[float, float],  # of hand and forearm
     tolerance_m: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return both bounds of a hand's least distance [m] between ticks, and the ways [m] of hand and elbow.
+    """Return both bounds of a hand's least distance [m] between ticks.
 
-    Both results are (2, n - 1). Arm and hand move straight from corner to corner.
+    The second result is how far [m] the hand and the elbow move. Both results are (2, n - 1). Arm and hand
+    move straight from corner to corner.
     """
     ends_m, ways_m, c = np.full((2, len(slack_m)), np.inf), np.zeros((2, len(slack_m))), 0
     radius_m, arm_radius_m = radii_m
     for k in range(len(slack_m)):
         begin, corner, (hand, elbow) = joints_rad[k], True, bodies_m[k]
         while corner:
+            # A tick is divided at its corners, between which arm and hand move straight.
             corner = c < len(corner_at) and min(int(corner_at[c]), len(slack_m) - 1) <= k
             end, bodies_end_m = joints_rad[k + 1], bodies_m[k + 1]
             if corner:
@@ -214,11 +230,11 @@ def between_ticks(
 
 
 def instants(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.float64], ...]:
-    """Return arm and hand at the ticks and at the hand's corners between them, in order of time.
+    """Return the states of arm and hand at the ticks and at the hand's corners, in order of time.
 
-    The arrays are (n,) the instants in ticks, (n, 6) joints, (n, 3) hand, (n, 3) elbow, and (n,) the distance
-    (inf at a corner). The last array (n - 1,) is how far [m] the distance after each instant may be below
-    that of straight ways.
+    The arrays are the instants in ticks (n,), the joints (n, 6), the hand (n, 3), the elbow (n, 3) and the
+    distance (n,). At a corner, the distance is inf. The last array (n - 1,) belongs to the time after each
+    instant. It states how far [m] the distance may be below the distance for straight motion.
     """
     true, distance_m = true_motion(trace), trace.ticks["hand_distance_m"][:, hand]
     joints_rad, hand_m, elbow_m = true.joints_rad, true.hands_m[:, hand, 0], true.hands_m[:, hand, 1]
@@ -243,15 +259,16 @@ def instants(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.floa
 
 
 def joint_bend_m(trace: Trace, arm: Arm | None = None) -> NDArray[np.float64]:
-    """Return (n-1,) how far [m] the arm may leave the path of linearly moving joints between two ticks.
+    """Return how far [m] the arm may deviate from linear joint motion between two ticks, shape (n-1,).
 
-    A joint whose speed stays between its values at the two ticks, dv apart, leaves the straight line by at
-    most dv dt/4. That angle displaces a point by at most the angle times the length of the chain of links
-    that the joint moves. If the mean speed differs by a and b from the two values, the angle is dt a b/(a +
-    b). So the angle is 0 if the joint moves all the time at the speed of the second tick, as in both worlds.
+    Suppose that a joint's speed stays between its speeds at the two ticks, and that these speeds differ by
+    dv. Then the joint deviates from linear motion by at most dv dt/4. This angle moves a point by at most the
+    angle times the length of the chain of links that the joint moves. If the mean speed differs by a and b
+    from the speeds at the two ticks, the angle is dt a b/(a + b). So the angle is 0 if the joint always turns
+    at the speed of the second tick, as it does in both worlds.
 
-    Motors that saturate exceed both values. If an engine did not record by how much, the result is infinite
-    unless each joint's mean speed is that of the second tick.
+    Motors that saturate may exceed the speeds at both ticks. If the world's engine did not record this
+    excess, the result is infinite, unless each joint's mean speed equals its speed at the second tick.
     """
     true, world = true_motion(trace), entry_of(trace.provenance.world)
     period_s, known = trace.scenario.settings.clock.control_period_s, trace.known
@@ -276,7 +293,11 @@ def _joint_bends(
     exact: bool,  # positions and speeds are known exactly
     engine: bool,  # the world has motors, which may saturate
 ) -> NDArray[np.float64]:
-    """Return (n-1,) dt times the sum over joints of l a b/(a + b) [m], or of l dv/4, for chain lengths l."""
+    """Return a bound [m] for each tick, shape (n-1,): dt times the sum over joints of l a b/(a + b).
+
+    Here l is the length of the joint's chain of links. If the speeds are not exact, the term for a joint is l
+    dv/4.
+    """
     bends, recorded = np.zeros(max(rates_radps.shape[0] - 1, 0)), len(overshoot_radps) >= len(rates_radps)
     for k in range(bends.shape[0]):
         for joint in range(arm.chain[0].joint_axes.shape[0]):
@@ -285,8 +306,11 @@ def _joint_bends(
             mean = (joints_rad[k + 1, joint] - joints_rad[k, joint]) / period_s
             below, above = (mean - min(start, end) + overshoot, max(start, end) + overshoot - mean)
             inside, angle = min(below, above) > -ROUNDING_RADPS, 0.25 * (below + above) * period_s
+            # Saturated motors may turn a joint by any amount between the ticks, so no bound is known.
             if engine and not (inside if recorded else abs(mean - end) < SATURATED_RADPS):
                 angle = np.inf
+            # The speed stays between both ends, so the path stays in the triangle of the two extreme speeds
+            # over its chord.
             elif exact and inside and below + above > 0.0:
                 angle = max(below, 0.0) * max(above, 0.0) / (below + above) * period_s
             if not below + above < FASTEST_RADPS:  # or a speed is no number
@@ -308,15 +332,17 @@ def _closest_in_trace(
     forearm_radius_m: float,
     tolerance_m: float,
 ) -> tuple[float, int, float, float]:
-    """Return the least distance [m], the instant before it, the share of the way onwards, and an upper bound.
+    """Return the least distance [m], its place on the way, and an upper bound of the least distance.
 
-    The function skips stretches that cannot be nearer than the least distance so far. It can do so because
-    distances change by no more than points move. No joint moves a point farther than its angle times its
-    chain of links.
+    The place consists of the last instant before the least distance, and the fraction of the way from this
+    instant to the next. The function skips stretches that cannot be nearer than the least distance so far.
+    This is correct because distances change by no more than points move. A joint moves each point by at most
+    the joint's angle times the length of its chain of links.
     """
     best = np.inf
     index, fraction = 0, 0.0
     for k in range(distance_m.shape[0]):
+        # The stored distances first: the smaller the least so far, the more the search can skip.
         if distance_m[k] < best:
             best, index, fraction = distance_m[k], k, 0.0
     high = best
@@ -333,6 +359,7 @@ def _closest_in_trace(
             )
         first, known = k, False
         while k < distance_m.shape[0] - 1:
+            # The distance at the last known instant falls by at most what arm and hand have moved since.
             left_m -= displacement_m(arm.reach_m, joints_rad, hands_m, elbows_m, k)
             if not left_m - slack_m[k] > high + tolerance_m:  # a NaN must come out, not be passed over
                 break

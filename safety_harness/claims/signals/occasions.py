@@ -1,7 +1,7 @@
-"""Word the reasons why a run did not exercise a claim: how near it came, and what would have been enough.
+"""Write the reasons why a run did not exercise a claim: how near it came, and how near is sufficient.
 
-The functions return words for the reason of an inconclusive verdict. Each number in them comes from the trace
-or from its scenario's settings.
+The functions return texts for the reason of an inconclusive verdict. Each number in the texts comes from the
+trace or from its scenario's settings.
 """
 
 from __future__ import annotations
@@ -23,7 +23,10 @@ OFF_THE_GOAL = "a TCP start farther from the desired pose"
 
 
 def beside(value: float, limit: float, unit: str, per_si: float) -> str:
-    """Return ``value`` (SI) as text in ``unit``, with enough digits to differ from ``limit``."""
+    """Return ``value`` (SI) as text in ``unit``.
+
+    The text has enough digits to distinguish the value from ``limit``.
+    """
     shown = value * per_si
     digits = 1
     while digits < 9 and value != limit and round(shown, digits) == round(limit * per_si, digits):
@@ -43,7 +46,11 @@ def nearest_of(
     body: str,
     target: str = "the TCP",
 ) -> str:
-    """Return how near a hand came to ``target``, when, and how near is enough; empty without a hand."""
+    """Return a text that states the least distance of a hand from ``target``.
+
+    The text also states the time of this distance, and the distance that would exercise the claim. The text
+    is empty if no hand was present.
+    """
     there_m = np.where(np.abs(distance_m) < ENDLESS, distance_m, np.inf)
     tick = int(np.argmin(there_m))
     if not np.isfinite(there_m[tick]):
@@ -53,27 +60,28 @@ def nearest_of(
 
 
 def _near_m(trace: Trace) -> float:
-    """Return the distance within which a hand counts and the arm must respond to it."""
+    """Return the distance within which a hand exercises a claim and the arm must respond to the hand."""
     return min(trace.scenario.settings.avoidance.critical_distance_m, NEAR_M)
 
 
 def no_near_hand(trace: Trace) -> str:
-    """Return why no true hand was near the TCP."""
+    """Return the reason why no true hand was near the TCP."""
     near_m = _near_m(trace)
     return nearest_of(trace, nearest_hand_m(trace), near_m, "hand") or no_hand(trace)
 
 
 def no_hand(trace: Trace) -> str:
-    """Return that no hand was there, and how near a hand would exercise the claim."""
+    """Return a text that says that no hand was present, and how near a hand would have to come."""
     near_m = _near_m(trace)
     enough = f"one within {near_m * 1e3:g} mm of the TCP exercises it"
     return f"{'no hand was there' if trace.scenario.hands else 'there is no hand in this scenario'}; {enough}"
 
 
 def no_predicted_hand(trace: Trace) -> str:
-    """Return why no predicted hand was near the TCP: too far away, or not seen.
+    """Return the reason why no predicted hand was near the TCP.
 
-    If measurements are missing, the reason only states the sufficient distance.
+    Either every predicted hand was too far away, or no hand was seen. If measurements are missing, the text
+    only states the distance that is sufficient.
     """
     near_m = _near_m(trace)
     if _not_all_seen(trace):
@@ -86,7 +94,7 @@ def no_predicted_hand(trace: Trace) -> str:
 
 
 def _not_all_seen(trace: Trace) -> bool:
-    """Return whether the trace knows too little to state how near hands came, predicted or true."""
+    """Return whether the trace lacks measurements that show how near true or predicted hands came."""
     return not trace.known.whole and any(trace.known.column(name).limited for name in SEEN)
 
 
@@ -104,7 +112,7 @@ def no_decision(trace: Trace) -> str:
 
 
 def no_position(trace: Trace) -> str:
-    """Return why the controller chose no position to retreat to."""
+    """Return why the controller chose no retreat position."""
     stops = len(trace.decisions)
     if stops == 0:
         return no_decision(trace)
@@ -120,16 +128,20 @@ def no_answer(trace: Trace) -> str:
 
 
 def no_time(due_m: float, least_m: float) -> str:
-    """Return that no repulsion had time for a way of ``least_m``, but at most for ``due_m``."""
+    """Return a text which says that no repulsion lasted long enough to move the TCP by ``least_m``.
+
+    ``due_m`` is the longest distance that the TCP could have moved during a repulsion.
+    """
     had = f"a repulsion had time for {millimetres(due_m, least_m)} of way at most"
     return f"{had}; {least_m * 1e3:g} mm exercise it: a hand that comes earlier, or a longer duration"
 
 
 def spread_beside_threshold(trace: Trace, *, above: bool) -> str:
-    """Return the spread of the answer that was nearest to its threshold from the wrong side.
+    """Return a text on the answer whose spread came nearest to exercising the claim.
 
-    The wrong side is below the threshold if ``above`` is wanted, else above it. Without an answer with both a
-    spread and a threshold, return another reason.
+    If ``above`` is True, a spread above the threshold exercises the claim. Otherwise, a spread that does not
+    exceed the threshold exercises it. If no answer has both a spread and a threshold, the text gives another
+    reason.
     """
     if len(trace.decisions) == 0:
         wanted = "in doubt, above its threshold" if above else "sure of an answer that can be used"
@@ -148,9 +160,9 @@ def spread_beside_threshold(trace: Trace, *, above: bool) -> str:
 
 
 def went(trace: Trace, place: str, counted: NDArray[np.bool_]) -> bool:
-    """Return whether the column ``place`` certainly changes between two ticks by more than its uncertainty.
+    """Return whether the column ``place`` certainly changes by more than its uncertainty.
 
-    Only stretches whose ticks are all ``counted`` (n,) count.
+    The function uses only changes within an unbroken sequence of ticks at which ``counted`` (n,) is True.
     """
     values = trace.ticks[place] if trace.ticks[place].ndim == 2 else trace.ticks[place][:, :3, 3]
     error, slow = 2.0 * trace.known.column(place).uncertainty, MOVES * trace.time_s[:, None]
@@ -162,17 +174,20 @@ def went(trace: Trace, place: str, counted: NDArray[np.bool_]) -> bool:
 
 
 def tcp_stood(trace: Trace) -> str:
-    """Return how slowly the TCP moved, and which speed exercises the claim."""
+    """Return the largest speed of the TCP as text, and the speed that exercises the claim."""
     fastest = millimetres(float(trace.ticks["tcp_speed_mps"].max()), MOVES)
     return f"the TCP moved at {fastest}/s at most; above {MOVES * 1e3:g} mm/s exercises it: {OFF_THE_GOAL}"
 
 
 def joints_stood(trace: Trace) -> str:
-    """Return how slowly the joints turned, and which speed exercises the claim."""
+    """Return the largest speed of the joints as text, and the speed that exercises the claim."""
     fastest = beside(float(np.abs(true_motion(trace).rates_radps).max()), MOVES, "mrad/s", 1e3)
     return f"a joint turned at {fastest} at most; above {MOVES * 1e3:g} mrad/s exercises it: {OFF_THE_GOAL}"
 
 
 def occasion_m(limit_m: float = 0.0) -> float:
-    """Return how near [m] a hand must come to exercise a limit of its distance: NEAR_M or twice the limit."""
+    """Return how near [m] a hand must come to exercise a limit of its distance.
+
+    The result is NEAR_M or twice the limit, whichever is larger.
+    """
     return max(NEAR_M, 2.0 * limit_m)

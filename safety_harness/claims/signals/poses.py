@@ -13,7 +13,7 @@ from safety_harness.trace.trace import Trace, once_a_trace
 
 @once_a_trace
 def pose_errors(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (n,) distance [m] and angle [rad] of the TCP from the desired pose at each tick."""
+    """Return the TCP's distance [m] and angle [rad] from the desired pose at each tick, both (n,)."""
     desired = desired_transform_tcp_to_base(trace.scenario.settings)
     turns = product(desired[:3, :3].T, trace.ticks["transform_tcp_to_base"][:, :3, :3])
     axis = np.stack(
@@ -25,6 +25,6 @@ def pose_errors(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]
 
 @once_a_trace
 def position_errors_m(trace: Trace) -> NDArray[np.float64]:
-    """Return (n,) the distance of the TCP from the desired position at each tick."""
+    """Return the distance of the TCP from the desired position at each tick, shape (n,)."""
     desired = desired_transform_tcp_to_base(trace.scenario.settings)
     return np.asarray(np.linalg.norm(true_motion(trace).tcp_m - desired[:3, 3], axis=1))

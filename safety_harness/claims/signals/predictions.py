@@ -1,4 +1,4 @@
-"""Compute the errors of predicted hands: their distances from the true hands at the predicted time."""
+"""Compute the errors of predicted hands: the distances from the true hands at the predicted time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from safety_harness.trace.trace import Trace
 
 
 def predicted_at(trace: Trace) -> NDArray[np.float64]:
-    """Return (k,) in ticks, for which time each tick predicts, as long as that is within the trace."""
+    """Return, in ticks, the time to which the prediction of each tick refers, shape (k,).
+
+    Times after the trace are left out.
+    """
     settings = trace.scenario.settings
     ahead = settings.hand_filter.prediction_horizon_s / settings.clock.control_period_s
     at = np.arange(len(trace.ticks), dtype=np.float64) + ahead
@@ -21,10 +24,11 @@ def predicted_at(trace: Trace) -> NDArray[np.float64]:
 
 
 def prediction_errors_m(trace: Trace) -> NDArray[np.float64]:
-    """Return (k, tracks) the distance [m] of each prediction from the nearest true hand at its time.
+    """Return the distance [m] of each prediction from the nearest true hand, shape (k, tracks).
 
-    k is the number of ticks whose predictions are for times within the trace. The distance is NaN if a slot
-    tracks no hand.
+    The positions of the true hands are those at the predicted time. Only ticks whose predicted time lies
+    within the trace are used, and k is the number of these ticks. The distance is NaN if a slot tracks no
+    hand.
     """
     at = predicted_at(trace)
     predicted_m, hands_m = trace.ticks["predicted_hand_in_base_m"], true_motion(trace).hands_m
@@ -34,7 +38,10 @@ def prediction_errors_m(trace: Trace) -> NDArray[np.float64]:
 
 
 def tracked_errors_m(trace: Trace) -> NDArray[np.float64]:
-    """Return (k, tracks) the distances of ``prediction_errors_m``, with -inf if a slot tracks no hand."""
+    """Return the distances of ``prediction_errors_m``, shape (k, tracks).
+
+    If a slot tracks no hand, its distance is -inf.
+    """
     errors_m = prediction_errors_m(trace)
     return np.where(trace.ticks["track_valid"][: len(errors_m)], errors_m, -np.inf)
 
@@ -47,7 +54,10 @@ def _errors(
     at: NDArray[np.float64],  # (k,) what the predictions are for, in ticks
     errors_m: NDArray[np.float64],  # (k, tracks), written
 ) -> None:
-    """Write the least |predicted - true| [m] over hands, with true hands interpolated at the times ``at``."""
+    """Write the least |predicted - true| [m] over the hands into ``errors_m``.
+
+    The true hands are interpolated at the times ``at``.
+    """
     last = hands_m.shape[0] - 1
     for k in range(at.shape[0]):
         start = int(at[k])
@@ -62,6 +72,7 @@ def _errors(
                 distance_m = sqrt(total)
                 if not distance_m >= nearest:
                     nearest = distance_m
+                # A NaN must be the result, so that the claim becomes inconclusive.
                 if np.isnan(distance_m):
                     break
             errors_m[k, track] = nearest

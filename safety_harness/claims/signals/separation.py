@@ -1,18 +1,19 @@
 """Speed and separation monitoring: a moving arm must be able to stop before it reaches any human.
 
-The required distance is the protective separation distance S_p of ISO/TS 15066, computed term by term for
-every pair of robot and human.
+The required distance is the protective separation distance S_p of ISO/TS 15066. It is computed term by term
+for every pair of robot and human.
 
-S_p = S_h + S_r + S_s + C + Z_d + Z_r.  S_h is the human's way until the robot stands.  S_r and S_s are the
-robot's ways in its reaction time and while it brakes.  C is how far a body reaches in before it is noticed.
-Z_d and Z_r are the uncertainties of the human's and the robot's place.
+S_p = S_h + S_r + S_s + C + Z_d + Z_r. S_h is the distance that the human moves until the robot has stopped.
+S_r is the distance that the robot moves in its reaction time, and S_s is the distance that it moves while it
+brakes. C is the distance by which a body part can intrude towards the robot before the sensor detects it. Z_d
+and Z_r are the uncertainties of the human's and the robot's position.
 
 A pair is one capsule of the arm and one body of a hand: its sphere or its forearm. The speeds of a pair are
 those of its two nearest points, along the line between them. The robot's speed is the rate at which the
-distance would shrink if the human stood still. A point that recedes counts as standing.
+distance would shrink if the human did not move. If a point moves away, its speed is set to zero.
 
-``least_separation`` finds the pair with the least margin in a run, in compiled code. It computes every pair,
-or a bound of the pair's margin.
+``least_separation`` finds the pair with the least margin in a run, in compiled code. For every pair,
+``least_separation`` computes the margin or a bound of the margin.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ ASSUMED = (
 
 @dataclass(frozen=True, kw_only=True)
 class Term:
-    """A term of S_p with its length [m] and its assumption."""
+    """A term of S_p, with its length [m] and the assumption behind it."""
 
     symbol: str
     length_m: float
@@ -52,11 +53,11 @@ class Term:
 
 @dataclass(frozen=True, kw_only=True)
 class Separation:
-    """A pair at a tick, with its distance and the terms of the distance that it needs.
+    """A pair at a tick: its distance, and the terms of the protective separation distance that applies to it.
 
-    ``robot_speed_mps`` and ``hand_speed_mps`` are the speeds towards each other. ``reaction_time_s`` and
-    ``stop_time_s`` are the times that are left. ``hand_moves_m`` and ``robot_moves_m`` are the ways of the
-    nearest points in half a control period.
+    ``robot_speed_mps`` and ``hand_speed_mps`` are the speeds of robot and hand towards each other.
+    ``reaction_time_s`` and ``stop_time_s`` are the remaining reaction time and stop time. ``hand_moves_m``
+    and ``robot_moves_m`` are the distances that the nearest points move in half a control period.
     """
 
     tick: int
@@ -135,15 +136,15 @@ def least_separation(
     hand_step_m: NDArray[np.float64],  # (n,)
     first_look: int,  # a tick whose margin is likely to be small: for less work, the answer is the same
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the pair with the least margin; of equal margins, the first.
+    """Return the pair with the least margin, or the first such pair if margins are equal.
 
-    The first result (4,) is tick, hand, capsule and body (1 is the forearm); the tick is -1 if there is no
-    pair. The second result (5,) is the distance [m], v_r, v_h, and the ways [m] of the hand's and the robot's
-    nearest point in half a period.
+    The first result (4,) is tick, hand, capsule and body. The body 1 is the forearm, and the tick -1 means
+    that there is no pair. The second result (5,) is the distance [m], v_r, v_h, and how far [m] the hand's
+    and the robot's nearest points move in half a period.
 
-    The search skips ticks and pairs that cannot have a smaller margin than the least so far. It can do so
-    because distances change by no more than points move, and no point of a body is faster than its ends. The
-    search does not trust the trace's own distances.
+    The search skips ticks and pairs that cannot have a smaller margin than the least so far. This is correct
+    because no distance changes by more than the points move, and because no point of a body is faster than
+    the faster end of the body. The search does not use the distances that the trace stores.
     """
     indices, values = np.full(4, -1), np.full(5, np.nan)
     joints, capsules = arm.chain[0].joint_axes.shape[0], arm.capsules.shape[0]
@@ -156,6 +157,7 @@ def least_separation(
     for step in range(-1, judged.shape[0]):
         k = step if step >= 0 else first_look
         if step > 0:
+            # Since the last look, distances have fallen by at most what arm and hands have moved.
             near_m -= arm_step_m[k - 1] + hand_step_m[k - 1]
         elif step == 0:
             near_m, least = -np.inf, np.inf  # the first look counts again when its tick comes
@@ -163,8 +165,11 @@ def least_separation(
             continue
         human_mps = hand_step_m[k] / period_s
         v_h = human_mps if np.isnan(hand_speed_mps) else hand_speed_mps
+        # Upper bounds of the human's and the robot's terms of S_p. A tick or a pair whose margin is too large
+        # even with them is skipped.
         most_human_m = max(v_h * (reaction_s[k] + stop_s[k]), 0.0) + 0.5 * period_s * human_mps
         per_speed_s = max(reaction_s[k] + 0.5 * stop_s[k], 0.0) + 0.5 * period_s
+        # The bound without the arm's speed comes first, because ``faster_mps`` takes longer.
         if near_m - most_human_m > good_enough:
             arm_now_mps = arm_mps + faster_mps(arm, joints_rad, rates_radps, looked, k)
             if near_m - most_human_m - per_speed_s * arm_now_mps > good_enough + ROUNDING_M:
@@ -187,6 +192,7 @@ def least_separation(
             for capsule in range(capsules):
                 radius_m = arm.capsules[capsule].radius_m
                 most_arm_m = per_speed_s * fastest_mps[capsule] + ROUNDING_M
+                # The bound needs no nearest points, and excludes most pairs.
                 lower_m = axes_lower_m(hands_m[k, hand], ends[capsule]) - radius_m - thickest_m
                 if lower_m - most_human_m - most_arm_m > good_enough:
                     near_m = min(near_m, lower_m)
@@ -238,10 +244,10 @@ def farthest_steps(
     hands_m: NDArray[np.float64],  # (n, hands, 2, 3)
     present: NDArray[np.bool_],  # (n, hands)
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (n,) the largest way [m] of any point of the arm to the next tick, and (n,) that of any hand.
+    """Return bounds [m] of the motion of points until the next tick, for the arm (n,) and for the hands (n,).
 
-    The hands' way is infinite if a hand appears or leaves. The last tick has the ways of the tick before, as
-    for velocities.
+    The value for hands is infinite if a hand appears or leaves. The last tick has the values of the tick
+    before it, as for velocities.
     """
     n, joints = joints_rad.shape[0], arm.chain[0].joint_axes.shape[0]
     arm_step_m, hand_step_m = np.zeros(n), np.zeros(n)
@@ -250,6 +256,7 @@ def farthest_steps(
         for i in range(joints):
             arm_step_m[k] += abs(joints_rad[k + 1, i] - joints_rad[k, i]) * arm.reach_m[i]
         for hand in range(hands_m.shape[1]):
+            # A hand that appears may be anywhere, so the search must look at the next tick.
             if present[k, hand] != present[k + 1, hand]:
                 farthest = np.inf
             if not (present[k, hand] and present[k + 1, hand]):
@@ -268,9 +275,9 @@ def farthest_steps(
 
 @inlined
 def _speed(hands_m: NDArray[np.float64], period_s: float, k: int, hand: int, body: int, i: int) -> float:
-    """Return component ``i`` of a mean velocity [m/s] over the period after tick ``k``, or the last period.
+    """Return a hand's or forearm's mean velocity [m/s] along axis ``i`` in the period after tick ``k``.
 
-    ``hands_m`` (n, hands, 2, 3).
+    For the last tick, the last period is used. ``hands_m`` has the shape (n, hands, 2, 3).
     """
     n = hands_m.shape[0]
     if n < 2:
@@ -287,12 +294,12 @@ def faster_mps(
     a: int,
     b: int,
 ) -> float:
-    """Return how much faster [m/s] a point of the arm can be at tick b than the same point at tick a.
+    """Return how much faster [m/s] a point of the arm can be at tick b than at tick a.
 
-    It is the sum over joints j of |q'_j(b) - q'_j(a)| l_j + |q'_j(b)| sum over i of |q_i(b) - q_i(a)|
-    l_max(i, j). The bound holds because a point p has the velocity sum over j of q'_j dp/dq_j. |dp/dq_j| is
-    at most the length l_j of the chain of links from joint j to p. |d^2 p/dq_i dq_j| is at most the length
-    from the outer joint of i and j.
+    This bound is the sum over joints j of |q'_j(b) - q'_j(a)| l_j + |q'_j(b)| sum over i of |q_i(b) - q_i(a)|
+    l_max(i, j). It holds because the velocity of a point p is the sum over j of q'_j dp/dq_j. The size of the
+    first derivative, dp/dq_j, is at most the length l_j of the chain of links from joint j to p. The size of
+    the second derivative, d^2 p/dq_i dq_j, is at most the length from the outer joint of i and j to p.
     """
     faster, distal, proximal = 0.0, 0.0, 0.0  # sums of turns times lengths beyond j, and of turns up to j
     joints, reach_m = arm.chain[0].joint_axes.shape[0], arm.reach_m
@@ -309,9 +316,9 @@ def faster_mps(
 
 @compiled
 def _along(velocity: NDArray[np.float64], displacement: NDArray[np.float64], length: float) -> float:
-    """Return the component of ``velocity`` (3,) along ``displacement``/``length``, at least 0.
+    """Return the component of ``velocity`` (3,) along ``displacement``/``length``, or 0 if it is negative.
 
-    If ``length`` is 0, return the speed.  ``displacement`` is (3,).
+    If ``length`` is 0, return the size of ``velocity``. ``displacement`` is (3,).
     """
     if length == 0.0:
         return sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)

@@ -1,4 +1,4 @@
-"""A signal: a named value with a unit, which a trace has at every control tick.
+"""A signal is a named value with a unit, which a trace has at every control tick.
 
 From one tick to the next, a signal keeps its value, stays within bounds, or is not known. The time from a
 tick to the next is the tick's *cell*; the cell of the last tick is the tick itself.
@@ -21,10 +21,10 @@ Values = NDArray[np.float64]
 
 
 class Interpolation(Enum):
-    """What is known of a signal from one tick to the next.
+    """The knowledge about a signal from one tick to the next.
 
-    HELD: the signal keeps its value until the next tick. BOUNDED: it stays within bounds. TICKS_ONLY: it is
-    not known, so that a formula judges only the ticks.
+    HELD: the signal keeps its value until the next tick. BOUNDED: the signal stays within bounds. TICKS_ONLY:
+    the signal is unknown between the ticks, so a formula judges only the ticks.
     """
 
     HELD = "held"
@@ -34,19 +34,22 @@ class Interpolation(Enum):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sampled:
-    """A signal's values over a trace of n ticks, in SI; a truth is 1.0 or 0.0, and NaN is unknown.
+    """The values of a signal over a trace of n ticks, in SI units.
 
-    ``value`` (n,) is the value at each tick, which may be inf; ``low`` and ``high`` (n,) bound it from that
-    tick to the next. Between a tick and the next, the signal certainly falls at some moment to ``surely``
-    (n,) or below (None: not computed). ``absent`` is the reason why the run has no such signal, or empty.
-    ``tried`` are two bounds (n,) of a number that is above 0 at ticks that exercise a claim on the signal
-    (None: every tick does). ``untried`` states what did not happen if no tick does. For a distance, ``comes``
-    names who comes near to what. Then each approach counts as one, and the claim's limit determines how near
-    is near.
+    True and false are 1.0 and 0.0, and NaN means unknown. ``value`` (n,) is the value at each tick, which may
+    be inf. ``low`` (n,) and ``high`` (n,) are its bounds from that tick to the next. At some moment between a
+    tick and the next, the signal is certainly at most ``surely`` (n,). None means that this was not computed.
+    ``absent`` is the reason why the run does not have the signal, or an empty text if the run has it.
+    ``tried`` has two bounds (n,) of a number. A tick exercises a claim on the signal if this number is above
+    0. None means that every tick exercises such a claim. ``untried`` states the missing event if no tick
+    exercises such a claim. If the signal is a distance, ``comes`` has two texts: the first describes the body
+    that comes near, and the second describes the target. In this case, each approach exercises the claim
+    once, and the claim's limit determines when a body is near.
 
-    In a trace that was measured in part, the signal is not wholly known at the ticks ``lost`` (n,). Then
-    ``value_low`` and ``value_high`` (n,) bound it at the ticks (None: both are ``value``). At a lost tick,
-    ``value`` is that of the measured hands, which the signal cannot exceed, or NaN.
+    In a partly measured trace, ``lost`` (n,) marks the ticks at which the signal is not wholly known. Then
+    ``value_low`` (n,) and ``value_high`` (n,) are bounds of the value at the ticks. None means that both are
+    ``value``. At a lost tick, ``value`` is NaN or the value for the measured hands only. In the second case,
+    the value is an upper bound of the signal.
     """
 
     value: Values
@@ -64,14 +67,15 @@ class Sampled:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Signal:
-    """A named signal, with the functions that sample it from a trace.
+    """A named signal, with the functions that compute it from a trace.
 
     ``words`` is the signal's name in sentences; ``dimension`` is None for a signal that is true or false.
     ``sample`` computes the signal from a trace, and reads only the columns ``reads``. If columns are
-    uncertain, ``off`` returns the signal's errors (SI): at the ticks, and below and above its bounds between
-    them. Without ``off``, a trace with an uncertain column gets no verdict. ``finer`` samples the signal with
-    closer bounds, but takes longer. If the signal is a speed, ``place`` is the column that moves with it. Two
-    signals are equal only if they are the same object.
+    uncertain, ``off`` returns three errors of the signal (SI): the error at the ticks, the error of the lower
+    bound between the ticks, and the error of the upper bound. Without ``off``, a trace with an uncertain
+    column gets no conclusive verdict. ``finer`` computes closer bounds of the signal, but takes longer. If
+    the signal is a speed, ``place`` is the column of the position that changes with this speed. Two signals
+    are equal only if they are the same object.
     """
 
     words: str
@@ -86,7 +90,7 @@ class Signal:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """The least and the largest limit: 0 and 0 for a signal that is compared with none."""
+        """The least and the largest limit; both are 0 for a signal that is not compared with a limit."""
         return 0.0, 0.0
 
     def __str__(self) -> str:
@@ -94,18 +98,24 @@ class Signal:
 
 
 def at_ticks(value: Values) -> Sampled:
-    """Return a signal ``value`` (n,) that is held until the next tick, or of which only the ticks count."""
+    """Return a signal that keeps its ``value`` (n,) until the next tick, or is known only at the ticks."""
     return Sampled(value=value, low=value, high=value)
 
 
 def absent(trace: Trace, why: str) -> Sampled:
-    """Return the sampled form of a signal that the run does not have, because of ``why``."""
+    """Return the samples of a signal that the run does not have.
+
+    ``why`` is the reason.
+    """
     nothing = np.full(len(trace.ticks), np.nan)
     return Sampled(value=nothing, low=nothing, high=nothing, absent=why)
 
 
 def bounded(value: Values, variation: Values) -> Sampled:
-    """Return a signal ``value`` (n,) with bounds for changes of at most ``variation`` (n-1,) in the cells."""
+    """Return a signal ``value`` (n,) with bounds between the ticks.
+
+    In each cell, the signal changes by at most ``variation`` (n-1,).
+    """
     low, high = value.copy(), value.copy()
     low[:-1], high[:-1] = lipschitz_bounds(value[:-1], value[1:], variation, 0.0)
     return Sampled(value=value, low=low, high=high)

@@ -1,4 +1,4 @@
-"""Compute speeds of TCP and joints, and their ways from tick to tick."""
+"""Compute the speeds of the TCP and the joints, and their displacements from tick to tick."""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ from safety_harness.trace.trace import Trace, history, once_a_trace
 
 
 def speeds(at_tick: Values, mean: Values, *, moving_part: str) -> Sampled:
-    """Return the signal of the fastest of several speeds, with the bounds of ``speed_cells`` between ticks.
+    """Return the signal for the fastest of several speeds.
 
-    The ticks from which on ``moving_part`` moves exercise it. ``at_tick`` (n, joints) are the speeds at the
-    ticks, and ``mean`` (n-1, joints) those between them.
+    Its bounds between the ticks come from ``speed_cells``. A run exercises the signal at each tick after
+    which ``moving_part`` moves. ``at_tick`` (n, joints) has the speeds at the ticks, and ``mean`` (n-1,
+    joints) has the mean speeds between them.
     """
     value, low, high, mean = speed_cells(at_tick, mean)
     moves = value - MOVES
@@ -35,13 +36,17 @@ def speeds(at_tick: Values, mean: Values, *, moving_part: str) -> Sampled:
 
 @once_a_trace
 def tcp_steps_m(trace: Trace) -> Values:
-    """Return (n-1,) the distance [m] of the TCP's places at each two consecutive ticks."""
+    """Return the distance [m] between the TCP's positions at successive ticks, shape (n-1,)."""
     steps = np.diff(np.ascontiguousarray(true_motion(trace).tcp_m.T))
     return np.asarray(np.sqrt((steps * steps).sum(axis=0)))
 
 
 def tcp_way_m(trace: Trace) -> Values:
-    """Return (n-1,) the TCP's way [m] between ticks at the largest of both ticks' speeds and the mean."""
+    """Return how far [m] the TCP may move between ticks, shape (n-1,).
+
+    The speed of the TCP is assumed to be the greatest of three speeds: those at the two ticks, and the mean
+    speed between them.
+    """
     speed = trace.ticks["tcp_speed_mps"]
     steps = tcp_steps_m(trace)
     path_m: Values = np.maximum(np.maximum(speed[:-1], speed[1:]) * np.diff(trace.time_s), steps)
@@ -49,7 +54,10 @@ def tcp_way_m(trace: Trace) -> Values:
 
 
 def turned_rad(trace: Trace) -> Values:
-    """Return (n-1,) the angle [rad] by which the TCP can turn between ticks: the sum over all joints."""
+    """Return the angle [rad] by which the TCP can turn between ticks, shape (n-1,).
+
+    It is the sum of the angles of all joints.
+    """
     speed = np.abs(trace.ticks["joint_velocity_radps"])
     steps = np.abs(np.diff(trace.ticks["joint_position_rad"], axis=0))
     most = np.maximum(np.maximum(speed[:-1], speed[1:]) * np.diff(trace.time_s)[:, None], steps)
@@ -64,20 +72,23 @@ def known_to_radps(trace: Trace) -> float:
 
 
 def tcp_speeds_mps(trace: Trace) -> tuple[Values, Values]:
-    """Return (n,) the TCP's speed [m/s] at the ticks, and (n-1,) its mean from tick to tick."""
+    """Return the TCP's speed [m/s] at the ticks (n,) and its mean speed between the ticks (n-1,)."""
     return history(trace, "tcp_speed_mps"), tcp_steps_m(trace) / np.diff(trace.time_s)
 
 
 def joint_speeds_radps(trace: Trace) -> tuple[Values, Values]:
-    """Return the joints' speeds [rad/s]: (n, joints) at the ticks, and (n-1, joints) means between them."""
+    """Return the joints' speeds [rad/s] at the ticks and their mean speeds between the ticks.
+
+    The first result has the shape (n, joints), and the second result has the shape (n-1, joints).
+    """
     steps = np.abs(np.diff(history(trace, "joint_position_rad"), axis=0))
     return np.abs(history(trace, "joint_velocity_radps")), steps / np.diff(trace.time_s)[:, None]
 
 
 def larger(at_tick: Values, mean: Values) -> Values:
-    """Return (n, ...) the speed at each tick, or the mean speed to the next tick if that is larger.
+    """Return for each tick the larger of its speed and the mean speed until the next tick.
 
-    ``at_tick`` is (n, ...), and ``mean`` is (n-1, ...).
+    The result has the shape (n, ...). ``at_tick`` is (n, ...), and ``mean`` is (n-1, ...).
     """
     largest = at_tick.copy()
     largest[:-1] = np.maximum(largest[:-1], mean)
@@ -85,13 +96,20 @@ def larger(at_tick: Values, mean: Values) -> Values:
 
 
 def sample_tcp_speed(trace: Trace) -> Sampled:
-    """Sample the TCP's speed; between ticks, the mean speed counts too."""
+    """Sample the TCP's speed.
+
+    Between ticks, the bounds include the mean speed.
+    """
     at_ticks, mean = tcp_speeds_mps(trace)
     return speeds(at_ticks[:, None], mean[:, None], moving_part="the TCP")
 
 
 def sample_joint_speed(trace: Trace) -> Sampled:
-    """Sample the fastest joint's speed; the commanded speed may be lower by ``known_to_radps``."""
+    """Sample the fastest joint's speed.
+
+    The lower bounds are reduced by ``known_to_radps``, because the commanded speed may be lower than the
+    recorded speed by this amount.
+    """
     sampled, off_radps = speeds(*joint_speeds_radps(trace), moving_part="the arm"), known_to_radps(trace)
     return replace(
         sampled, low=sampled.low - off_radps, value_low=sampled.value - off_radps, value_high=sampled.value
@@ -100,9 +118,11 @@ def sample_joint_speed(trace: Trace) -> Sampled:
 
 @once_a_trace
 def arm_speeds_mps(trace: Trace) -> Values:
-    """Return (n, 4) the speed of the fastest end of the capsules' axes, and the TCP's velocity in base.
+    """Return an array (n, 4).
 
-    No point of an axis is faster than both ends of the axis.
+    It contains the speed of the fastest end of the capsules' axes, and the three components of the TCP's
+    velocity. The velocity is in the base frame. No point of an axis is faster than the faster end of the
+    axis.
     """
     true = true_motion(trace)
     return _arm_speeds_mps(arm_of(trace), true.joints_rad, true.rates_radps)
@@ -114,7 +134,7 @@ def _arm_speeds_mps(
     joints_rad: NDArray[np.float64],  # (n, joints)
     rates_radps: NDArray[np.float64],  # (n, joints)
 ) -> NDArray[np.float64]:
-    """Return (n, 4) the result of ``arm_speeds_mps``."""
+    """Return the result (n, 4) of ``arm_speeds_mps``."""
     n, joints, capsules = joints_rad.shape[0], arm.chain[0].joint_axes.shape[0], arm.capsules.shape[0]
     transforms, ends = np.empty((joints + 2, 4, 4)), np.empty((capsules, 2, 3))
     twists, speeds_mps = np.empty((joints + 1, 6)), np.zeros((n, 4))

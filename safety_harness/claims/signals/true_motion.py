@@ -1,12 +1,12 @@
 """Provide the true motion of arm and hands in a trace, at the ticks and between them.
 
-A trace stores the place of a hand at each tick only. Between two ticks, this module follows the scenario's
-own moves again. A recorded hand may turn at a sample between two ticks. The chord between the ticks misses
-such a corner by up to half a tick's way (8 mm at 2 m/s and 8 ms). Other hands have bounded accelerations, so
-they leave the chord without corners. ``finer_paths`` follows them in parts of a tick, so that they leave the
-shorter chords by less.
+A trace stores the positions of hands only at the ticks. Between two ticks, this module computes the hands'
+positions again from the scenario's moves. A recorded hand may change its direction at a sample between two
+ticks. The straight line between the ticks misses this corner by up to half of the distance of a tick (8 mm at
+2 m/s and 8 ms). Other hands have bounded accelerations, so their paths have no corners, but deviate from
+straight lines. ``finer_paths`` divides each tick into parts, which makes this deviation smaller.
 
-It also checks that poses, speeds and distances of a trace follow from its joints and hands.
+The module also checks that poses, speeds and distances of a trace follow from its joints and hands.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ from safety_harness.trace.known import PRESENCE
 from safety_harness.trace.records import as_compiled, as_numbers, columns
 from safety_harness.trace.trace import Trace, once_a_trace
 
+# A choice: the tolerance of distances between two instants, a tenth of a millimetre.
 RESOLUTION_M = 1e-4
 SAME_M = 1e-6  # a hand farther than this from where the scenario moves it is not the scenario's hand
 JOINTS = ("joint_position_rad", "joint_velocity_radps")
@@ -51,8 +52,8 @@ TOLERANCE = 1e-9  # of metres, m/s and entries of rotations, for the last digits
 class TrueMotion:
     """The motion at each of n ticks, with positions in the base frame [m].
 
-    Each array is made on first use, so that a property reads only the columns that it states.  It is a
-    contiguous copy, because machine code for strided arrays would be compiled in addition.
+    Each array is computed on first use, so that a property reads only the columns that it states. The arrays
+    are contiguous copies, because separate machine code would have to be compiled for strided arrays.
     """
 
     def __init__(self, ticks: NDArray[np.void]) -> None:
@@ -75,7 +76,7 @@ class TrueMotion:
 
     @cached_property
     def hands_m(self) -> NDArray[np.float64]:
-        """(n, hands, 2, 3): hand and elbow."""
+        """The positions of hand and elbow, shape (n, hands, 2, 3)."""
         hands, elbows = (columns(self._ticks.dtype)[body] for body in BODIES)
         assert hands.stop == elbows.start
         both = as_numbers(self._ticks)[:, hands.start : elbows.stop]
@@ -88,7 +89,10 @@ class TrueMotion:
 
     @cached_property
     def nearest_m(self) -> NDArray[np.float64]:
-        """(n,): the least distance of a present hand, surface to surface; infinite without a hand."""
+        """The least distance of a present hand from surface to surface, shape (n,).
+
+        It is infinite if no hand is present.
+        """
         distance_m = np.where(self.present, self._ticks["hand_distance_m"], np.inf)
         nearest: NDArray[np.float64] = np.array(distance_m, order="F").min(axis=1)
         return nearest
@@ -102,7 +106,10 @@ def true_motion(trace: Trace) -> TrueMotion:
 
 @once_a_trace
 def nearest_hand_m(trace: Trace) -> NDArray[np.float64]:
-    """Return (n,) the distance of the nearest true hand's centre from the TCP; infinite without a hand."""
+    """Return the distance of the nearest true hand's centre from the TCP, shape (n,).
+
+    It is infinite if no hand is present.
+    """
     true = true_motion(trace)
     apart_m = np.linalg.norm(np.ascontiguousarray(true.hands_m[:, :, 0]) - true.tcp_m[:, None], axis=2)
     return np.asarray(np.where(true.present, apart_m, np.inf).min(axis=1))
@@ -116,25 +123,26 @@ def capsules_of(trace: Trace) -> CapsuleSet:
 
 @once_a_trace
 def arm_of(trace: Trace) -> Arm:
-    """Return the arm of a trace with the capsules of arm and camera, for compiled code."""
+    """Return the arm of a trace for compiled code, with the capsules of arm and camera."""
     return arm_with(arm_model(trace.scenario.robot), capsules_of(trace))
 
 
 def tcp_of(trace: Trace) -> Arm:
-    """Return the arm of a trace reduced to its TCP, for compiled code."""
+    """Return the arm of a trace for compiled code, reduced to its TCP."""
     return tcp_alone(arm_model(trace.scenario.robot))
 
 
 @dataclass(frozen=True, eq=False)
 class HandPaths:
-    """The paths of the scenario's hands along the arm's true way.
+    """The paths of the scenario's hands, for the arm's true motion.
 
-    ``positions_in_base_m`` (n, hands, 2, 3) are hand and elbow at each tick. ``moving`` (n-1, hands) is False
-    where a hand rests from one tick to the next. ``corner_hand`` (m,) is the hand of each corner.
-    ``corner_at`` (m,) is the corner's time in ticks, rising for each hand (3.25: a quarter of the way from
-    tick 3 to 4). ``corners_in_base_m`` (m, 2, 3) are hand and elbow there. ``parts`` (n-1, hands) is the
-    number of parts into which corners divide a tick of a hand with moves. ``resolution_m`` is that of least
-    distances between two instants.
+    ``positions_in_base_m`` (n, hands, 2, 3) has the positions of hand and elbow at each tick. ``moving``
+    (n-1, hands) is False if a hand rests from a tick to the next. ``corner_hand`` (m,) is the hand to which
+    each corner belongs. ``corner_at`` (m,) is the time of each corner in ticks. For example, 3.25 is a
+    quarter of the way from tick 3 to tick 4. The times increase for each hand. ``corners_in_base_m``
+    (m, 2, 3) has the positions of hand and elbow at each corner. ``parts`` (n-1, hands) is the number of
+    parts into which each tick is divided, for hands with moves. ``resolution_m`` is the resolution of the
+    search for the least distance between two instants.
     """
 
     positions_in_base_m: NDArray[np.float64]
@@ -148,13 +156,16 @@ class HandPaths:
 
 @once_a_trace
 def hand_paths(trace: Trace) -> HandPaths:
-    """Return the hands' paths by their moves again; hands that head for the TCP see the trace's TCP."""
+    """Return the hands' paths, computed again from their moves.
+
+    Hands that head for the TCP follow the TCP in the trace.
+    """
     return _paths(trace, 1)
 
 
 @once_a_trace
 def finer_paths(trace: Trace) -> HandPaths:
-    """Return the hands' paths by following their moves in PARTS of each tick, for closer bounds."""
+    """Return the hands' paths with each tick divided into PARTS, which gives closer bounds."""
     return _paths(trace, PARTS)
 
 
@@ -185,10 +196,11 @@ def _paths(trace: Trace, most_parts: int) -> HandPaths:
 
 @once_a_trace
 def first_stray(trace: Trace) -> int | None:
-    """Return the first tick at which a hand or elbow is not where its scenario moves it, or None.
+    """Return the first tick at which a hand or an elbow deviates from the motion in the scenario.
 
-    Only measured positions are compared, to within their uncertainty. No hand is compared if a hand heads for
-    a TCP that is not wholly known.
+    The result is None if there is no such tick. Only measured positions are compared, and differences within
+    their uncertainty are allowed. If a hand heads for the TCP and the TCP's position is not completely known,
+    the function compares no hand.
     """
     moved_m, known = hand_paths(trace).positions_in_base_m, trace.known
     stored_m = true_motion(trace).hands_m[:, : moved_m.shape[1]].copy()
@@ -205,14 +217,17 @@ def first_stray(trace: Trace) -> int | None:
 
 
 def follows_unknown(trace: Trace) -> bool:
-    """Return whether a hand heads for a TCP that was not measured everywhere and exactly."""
+    """Return whether a hand heads for the TCP although the TCP was not measured exactly at all ticks."""
     moves = [move for hand in trace.scenario.hands if isinstance(hand, MovingHand) for move in hand.moves]
     seeks = any(isinstance(move, ReachForTcp | FollowTcp) for move in moves)
     return seeks and trace.known.column("transform_tcp_to_base").limited
 
 
 def apart_moved_m(trace: Trace) -> NDArray[np.float64]:
-    """Return (n,) the error [m] of hands' distances from the arm, by the uncertainty of hands and joints."""
+    """Return the error [m] of the hands' distances from the arm, shape (n,).
+
+    It follows from the uncertainty of hands and joints.
+    """
     known, count = trace.known, len(trace.ticks)
     hands, elbows = (known.uncertainty_of(name, count) for name in BODIES)
     return np.maximum(hands, elbows) + known.uncertainty_of(JOINTS[0], count) * float(
@@ -221,22 +236,27 @@ def apart_moved_m(trace: Trace) -> NDArray[np.float64]:
 
 
 def tcp_velocity_moved_mps(trace: Trace) -> NDArray[np.float64]:
-    """Return (n,) the error [m/s] of the TCP's velocity at each tick, from the uncertainty of the joints."""
+    """Return the error [m/s] of the TCP's velocity at each tick, shape (n,).
+
+    It follows from the uncertainty of the joints' positions and speeds.
+    """
     turned_rad, faster_radps = (trace.known.uncertainty_of(name, len(trace.ticks)) for name in JOINTS)
     rates_radps = np.nan_to_num(true_motion(trace).rates_radps, nan=0.0, posinf=0.0, neginf=0.0)
     return np.asarray(velocity_off(arm_of(trace).reach_m, turned_rad, faster_radps, rates_radps))
 
 
 def hand_bend_m(trace: Trace, paths: HandPaths, hand: int, *, centre: bool = False) -> NDArray[np.float64]:
-    """Return (n-1,) how far [m] ``hand`` or its elbow may leave its chord between two ticks.
+    """Return how far [m] ``hand`` or its elbow may deviate from a straight line between ticks, (n-1,).
 
-    With ``centre``, only the hand's centre counts. A path whose second derivative is at most b leaves its
-    chord by at most b dt^2/8. For a hand, b is its acceleration a, including that of its tremor. The elbow
-    lies a forearm's length L from the hand, towards a fixed point. For an elbow, b is at most a (1 + L/r) + L
-    (4/3)^(1/2) (v/r)^2, if the hand has the speed v and stays r away from that point. However the forearm
-    turns, its axis stays within L of the hand's centre. So a distance is wrong by at most L plus the
-    forearm's radius less the hand's, beyond the error by the hand's bend. If corners divide a tick, dt is the
-    time from one corner to the next. A recorded hand and its elbow move straight from corner to corner.
+    If ``centre`` is True, only the hand's centre is considered. A path whose second derivative is at most b
+    deviates from its chord by at most b dt^2/8. For a hand, b is its acceleration a, which includes the
+    acceleration of its tremor. The distance between the elbow and the hand is L, the length of a forearm. It
+    lies on the line from the hand to a fixed point. For an elbow, b is at most a (1 + L/r) + L (4/3)^(1/2)
+    (v/r)^2. Here v is the hand's speed, and r is the hand's least distance from the fixed point. The
+    forearm's axis stays within L of the hand's centre, however the forearm turns. So the distance error from
+    the elbow exceeds the deviation of the hand by at most L + r_f - r_h, with the radii r_f of the forearm
+    and r_h of the hand. If corners divide a tick, dt is the time from one corner to the next. A recorded hand
+    and its elbow move straight from corner to corner.
     """
     scenario = trace.scenario
     trajectory, period_s = scenario.hands[hand], scenario.settings.clock.control_period_s
@@ -279,20 +299,23 @@ def _hand_bends(
     turned_m: float,
     period_s: float,
 ) -> NDArray[np.float64]:
-    """Return (n-1,) b dt^2/8 [m] with b = a (1 + L/r) + L (4/3)^(1/2) (v/r)^2, as for ``hand_bend_m``.
+    """Return the deviation [m] b dt^2/8, shape (n-1,).
 
-    dt is the period divided by the parts. ``turned_m`` plus the hand's bend is a bound for an elbow that
-    turns anywhere.
+    The bound b is a (1 + L/r) + L (4/3)^(1/2) (v/r)^2. The symbols are those of ``hand_bend_m``. Here dt is
+    the period divided by the parts. The result is at most ``turned_m`` plus the hand's deviation, which is a
+    bound for any motion of the elbow.
     """
-    bends, speed_after = np.zeros(moving.shape[0]), np.nan
+    bends, distance_after = np.zeros(moving.shape[0]), np.nan
     for k in range(hand_m.shape[0]):
         total = 0.0
         for i in range(3):
             total += (hand_m[k, i] - towards_m[i]) ** 2
-        speed_before, speed_after = speed_after, sqrt(total)
+        # The distances from the fixed point at two successive ticks.
+        distance_before, distance_after = distance_after, sqrt(total)
         if k == 0 or not moving[k - 1]:
             continue
-        nearest = max(min(speed_before, speed_after) - 0.5 * fastest_mps * period_s, 1e-9)
+        # Within the period the hand can come nearer by at most half its way. 1e-9 prevents a division by 0.
+        nearest = max(min(distance_before, distance_after) - 0.5 * fastest_mps * period_s, 1e-9)
         elbow = hardest_mps2 * (1.0 + length_m / nearest)
         elbow += length_m * sqrt(4.0 / 3.0) * (fastest_mps / nearest) ** 2
         part_s = period_s / parts[k - 1]
@@ -314,7 +337,11 @@ def _follow(
     corners: NDArray[np.float64],  # (c, 2, 3)
     parts: NDArray[np.int64],  # (n - 1, hands) wanted; 1 is written where the way is not known in parts
 ) -> int:
-    """Write ``positions`` at the ticks and ``corners`` between them, and return the number of corners."""
+    """Write the hands' positions at the ticks into ``positions``.
+
+    The positions at the corners between the ticks are written into ``corners``. The result is the number of
+    corners.
+    """
     count = 0
     hands_before, even = hands.copy(), np.zeros(positions.shape[1], np.bool_)
     for k in range(positions.shape[0]):
@@ -328,6 +355,7 @@ def _follow(
             leader = hands[i].leader if hands[i].leader >= 0 else i
             if not hands[leader].recorded:
                 continue
+            # A recorded path bends at its samples, so each sample between the ticks is a corner.
             row = hands[leader].first + hands[leader].current + 1
             while row < hands[leader].first + hands[leader].count and samples[row, 0] < (k + 1) * period_s:
                 if samples[row, 0] > k * period_s:
@@ -363,6 +391,8 @@ def _follow(
             if not moves_on or heads or hands[guide].recorded:
                 parts[k, i] = 1  # it rests, or its way is known only at the ticks
             finest = max(finest, parts[k, i])
+        # Advance copies from the beginning of the tick, so that the positions at the ticks remain those of
+        # the simulation.
         for part in range(1, finest):
             there, gone_s = hands_before.copy(), part * period_s / finest
             advance_hands(there, moves, samples, tcp_in_base_m[k], k * period_s, gone_s)
@@ -371,6 +401,7 @@ def _follow(
                     if there[i].leader >= 0:
                         leader_m = there[there[i].leader].position_in_base_m[j]
                         there[i].position_in_base_m[j] = leader_m + there[i].apart_in_base_m[j]
+                    # At a constant acceleration, the position within the tick has a closed form.
                     elif even[i]:
                         mps = hands_before[i].velocity_in_base_mps[j]
                         mps += 0.5 * (hands[i].velocity_in_base_mps[j] - mps) * gone_s / period_s
@@ -390,7 +421,7 @@ def _follow(
 
 @njit_no_nrt
 def _evenly(earlier: Any, later: Any, period_s: float) -> bool:
-    """Return whether a hand's velocity changes evenly between two ticks."""
+    """Return whether a hand's velocity changes at a constant rate between two ticks."""
     even = True
     for j in range(3):
         mean_mps = 0.5 * (earlier.velocity_in_base_mps[j] + later.velocity_in_base_mps[j])
@@ -401,7 +432,10 @@ def _evenly(earlier: Any, later: Any, period_s: float) -> bool:
 
 @njit_no_nrt
 def _heads_for_tcp(earlier: Any, later: Any, moves: Any) -> bool:
-    """Return whether a hand heads for the TCP between two ticks, so that its way is known at ticks alone."""
+    """Return whether a hand heads for the TCP between two ticks.
+
+    Its path is then known only at the ticks.
+    """
     heads = False
     for row in range(earlier.current, min(later.current + 1, later.count)):
         heads = heads or moves[earlier.first + row].kind >= REACH_FOR_TCP
@@ -409,7 +443,10 @@ def _heads_for_tcp(earlier: Any, later: Any, moves: Any) -> bool:
 
 
 def refuse_contradictions(trace: Trace, file: Path | None = None) -> None:
-    """Raise TraceError with ``file``, field and tick if no run can have written ``trace``."""
+    """Raise TraceError if no run can have written ``trace``.
+
+    The error states ``file``, the field and the tick.
+    """
     problem = first_inconsistency(trace) or first_untruth(trace)
     if problem is not None:
         where = problem.where if file is not None else f"trace of {trace.scenario.name}: {problem.where}"
@@ -417,11 +454,12 @@ def refuse_contradictions(trace: Trace, file: Path | None = None) -> None:
 
 
 def first_untruth(trace: Trace) -> Inconsistency | None:
-    """Return the first field and tick whose value does not follow from the tick's joints and hands.
+    """Return the first stored field that contradicts the joints and hands.
 
-    A NaN must follow from a NaN of joints or hands, and each property decides whether it can judge that.
-    Measured values are compared to within their uncertainty, and no others. Of several fields, the first in
-    order is reported, at its first tick.
+    The tick of the contradiction is part of the result. A NaN is accepted if the joints or hands have a NaN.
+    Each property decides whether it can judge such values. Only measured values are compared, and differences
+    within their uncertainty are allowed. If several fields are wrong, the function reports the field that
+    comes first in ``DERIVED``, at the first tick at which this field is wrong.
     """
     recomputed, known = derived(trace), trace.known
     for name, inputs in DERIVED.items():
@@ -447,7 +485,10 @@ def first_untruth(trace: Trace) -> Inconsistency | None:
 
 
 def _moved(trace: Trace, name: str) -> NDArray[np.float64]:
-    """Return (n,) the largest error of the derived field ``name`` by the uncertainty of all its columns."""
+    """Return the largest error of the derived field ``name`` at each tick, shape (n,).
+
+    It follows from the uncertainty of all columns that determine the field.
+    """
     error = trace.known.uncertainty_of(name, len(trace.ticks))
     if name == "tcp_speed_mps":
         return error + tcp_velocity_moved_mps(trace)
@@ -460,7 +501,10 @@ def _moved(trace: Trace, name: str) -> NDArray[np.float64]:
 
 
 def derived(trace: Trace) -> NDArray[np.void]:
-    """Return (n,) ticks whose derived fields are computed again from joints and hands."""
+    """Return ticks (n,) with derived fields.
+
+    The fields are computed again from the joints and the hands.
+    """
     capsules = capsules_of(trace)
     ticks = np.zeros(len(trace.ticks), trace.ticks.dtype)
     _derive(
@@ -483,7 +527,7 @@ def _derive(
     stored: NDArray[np.void],  # (n,) ``as_compiled``
     derived: NDArray[np.void],  # (n,) ``as_compiled``, its truth written
 ) -> None:
-    """Write the fields of every tick of ``derived`` that follow from its joints and hands."""
+    """Compute the derived fields of every tick from its joints and hands, and write them into ``derived``."""
     for k in range(stored.shape[0]):
         tick = stored[k]
         for i in range(hands.shape[0]):

@@ -1,4 +1,4 @@
-"""Compute bounds of a signal in a trace that was measured only in part, or inexactly."""
+"""Compute bounds of a signal in a trace with gaps or with uncertain measurements."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ blanked = once_a_trace(as_measured)
 
 
 def gaps_of(trace: Trace, columns: Iterable[str], tick: int | None = None) -> tuple[str, ...]:
-    """Return those of ``columns`` that have a gap at ``tick``, or at any tick if ``tick`` is None."""
+    """Return the names in ``columns`` whose columns have a gap at ``tick``.
+
+    If ``tick`` is None, a gap at any tick is sufficient.
+    """
     known = trace.known
     return tuple(
         name
@@ -35,7 +38,7 @@ def gaps_of(trace: Trace, columns: Iterable[str], tick: int | None = None) -> tu
 
 
 def lost_of_hands(trace: Trace, columns: Iterable[str]) -> Truths:
-    """Return (n, hands) whether one of ``columns`` was not measured at each tick, for each possible hand."""
+    """Return a mask of the ticks and hands for which a column in ``columns`` was not measured, (n, hands)."""
     lost_rows = np.zeros((len(trace.ticks), *trace.ticks.dtype["hand_present"].shape), np.bool_)
     for name in columns:
         for gap in trace.known.column(name).gaps:
@@ -44,24 +47,25 @@ def lost_of_hands(trace: Trace, columns: Iterable[str]) -> Truths:
 
 
 def lost(trace: Trace, columns: Iterable[str]) -> Truths:
-    """Return (n,) whether one of ``columns`` was not measured at each tick, for any hand."""
+    """Return a mask (n,) of the ticks at which a column in ``columns`` was not measured for some hand."""
     if trace.known.whole:
         return np.zeros(len(trace.ticks), np.bool_)
     return np.asarray(lost_of_hands(trace, columns).any(axis=1))
 
 
 def or_next(state: Truths) -> Truths:
-    """Return (n, ...) whether ``state`` (n, ...) holds at each tick or at the next."""
+    """Return a mask that is True where ``state`` (n, ...) is True at the tick or at the next tick."""
     either = state.copy()
     either[:-1] |= state[1:]
     return either
 
 
 def as_known(signal: Signal, measured: Sampled, trace: Trace) -> Sampled:
-    """Return ``signal`` with bounds for all that is unknown or uncertain in ``measured``.
+    """Return the samples of ``signal`` with bounds.
 
-    The signal is unknown at lost ticks and in the cells on both sides of them. There, a value of the measured
-    hands is an upper bound.
+    The bounds cover every value that is possible if parts of ``measured`` are unknown or uncertain. The
+    signal is unknown at lost ticks and in the cells on both sides of these ticks. If the values at a lost
+    tick come from the measured hands only, they are upper bounds of the signal.
     """
     columns = [name for name in signal.reads if trace.known.column(name).limited]
     if not columns or measured.absent:
@@ -69,6 +73,8 @@ def as_known(signal: Signal, measured: Sampled, trace: Trace) -> Sampled:
     at, below, above = signal.off(trace) if signal.off else (0.0, 0.0, 0.0)
     value, low, high = measured.value, measured.low, measured.high
     gone = lost(trace, columns) if measured.lost is None else measured.lost
+    # A held signal has its tick's value until the next tick. The bounds of other signals also depend on the
+    # next tick, so a gap affects the cells on both sides.
     held = signal.between is not Interpolation.BOUNDED
     cells = gone if held else or_next(gone)
     if measured.lost is None:
@@ -97,7 +103,10 @@ def as_known(signal: Signal, measured: Sampled, trace: Trace) -> Sampled:
 
 
 def by_uncertainty_of(*columns: str) -> ErrorOf:
-    """Return a function for the errors of a signal that is as uncertain as ``columns`` together."""
+    """Return a function that computes the errors of a signal.
+
+    Each error is the sum of the uncertainties of ``columns``.
+    """
 
     def errors(trace: Trace) -> tuple[float, float, float]:
         together = sum(trace.known.column(name).uncertainty for name in columns)
@@ -107,7 +116,10 @@ def by_uncertainty_of(*columns: str) -> ErrorOf:
 
 
 def of_change(column: str) -> ErrorOf:
-    """Return a function for the errors of the mean change of ``column`` between ticks, in its unit/s."""
+    """Return a function for the errors of the mean rate of ``column`` between ticks.
+
+    The errors are in the unit of the column per second.
+    """
 
     def errors(trace: Trace) -> tuple[float, float, float]:
         error = 2.0 * trace.known.column(column).uncertainty / trace.scenario.settings.clock.control_period_s
@@ -117,14 +129,20 @@ def of_change(column: str) -> ErrorOf:
 
 
 def of_tcp_acceleration(trace: Trace) -> tuple[float, float, float]:
-    """Return the errors of the TCP's mean acceleration between ticks, by those of joints and their speeds."""
+    """Return the errors of the TCP's mean acceleration between ticks.
+
+    They follow from the errors of the joints and of their speeds.
+    """
     off_mps = float(tcp_velocity_moved_mps(trace).max())
     acceleration_error = 2.0 * off_mps / trace.scenario.settings.clock.control_period_s
     return acceleration_error, acceleration_error, acceleration_error
 
 
 def of_speed(speed: str, position: str) -> ErrorOf:
-    """Return a function for the errors of ``speed``, between ticks also by the error of ``position``."""
+    """Return a function for the errors of ``speed``.
+
+    Between ticks, they also allow for the error of ``position``.
+    """
 
     def errors(trace: Trace) -> tuple[float, float, float]:
         at, place = (trace.known.column(name).uncertainty for name in (speed, position))
@@ -135,7 +153,10 @@ def of_speed(speed: str, position: str) -> ErrorOf:
 
 
 def of_place(trace: Trace) -> tuple[float, float, float]:
-    """Return the errors of the TCP's place: its own, plus between ticks half of the error of its way."""
+    """Return the errors of the TCP's position.
+
+    Between ticks, they include half of the error of the distance that it moves.
+    """
     at, speed = (trace.known.column(name).uncertainty for name in (TCP, TCP_SPEED))
     between_ticks = float(place_between(at, speed, trace.scenario.settings.clock.control_period_s))
     return at, between_ticks, between_ticks
@@ -144,8 +165,9 @@ def of_place(trace: Trace) -> tuple[float, float, float]:
 def of_nearest_hand(trace: Trace) -> tuple[float, float, float]:
     """Return the errors of the TCP's distance from the nearest hand.
 
-    At the ticks they are the errors of both places. The error below also covers the joints and their bend,
-    and the error above half of the errors of both ways.
+    At the ticks, the error is the sum of the errors of the TCP's and the hand's position. The error of the
+    lower bound also includes the joints and their deviation from linear motion. The error of the upper bound
+    also includes half of the errors of the TCP's and the hand's displacements.
     """
     if follows_unknown(trace):
         return np.inf, np.inf, np.inf
@@ -158,12 +180,16 @@ def of_nearest_hand(trace: Trace) -> tuple[float, float, float]:
 
 
 def of_hand_distance(trace: Trace) -> tuple[Bound, Bound, Bound]:
-    """Return the hand distance's errors: below that of the catalogue's bound, above also that at ticks."""
+    """Return the errors of the hand distance.
+
+    The lower bound has the same error as the catalogue's bound. For the upper bound, the error at the ticks
+    is added.
+    """
     at, moved = distance_moved_m(trace)
     between_ticks, beside = np.maximum(at, moved), at + moved
     return at, np.maximum(between_ticks, _next(between_ticks)), np.maximum(beside, _next(beside))
 
 
 def _next(value: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (n,) the value of the next tick for each tick."""
+    """Return the value of the next tick for each tick, shape (n,)."""
     return np.append(value[1:], value[-1:])

@@ -1,1 +1,1 @@
-"""A user's file in a process of its own: if the file hangs, ends or fills its memory, ours continues."""
+"""Run a user's file in a separate process, so that the harness continues if the file hangs or crashes."""

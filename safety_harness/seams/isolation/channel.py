@@ -1,4 +1,4 @@
-"""The channel to another process: bytes in both directions, each within a time limit."""
+"""A channel to another process that sends and receives bytes, with a time limit for each operation."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from collections.abc import Callable
 
 from safety_harness.seams.isolation.messages import HEADER, length_of
 
-NO_OUTPUT = -1
+NO_OUTPUT = -1  # instead of a descriptor, for a peer whose output cannot be read
 AT_ONCE = 65_536  # bytes that are read in one go
 
 
 class GoneError(Exception):
-    """The process did not answer and is treated as gone. ``hung`` is true if it exceeded the time limit."""
+    """The process did not answer and is treated as ended. ``hung`` is true if it exceeded the time limit."""
 
     def __init__(self, why: str, *, hung: bool = False) -> None:
         self.hung = hung
@@ -22,18 +22,18 @@ class GoneError(Exception):
 
 
 class NonsenseError(GoneError):
-    """The process sent bytes that are no valid message, so that the harness has to end it."""
+    """The process sent bytes that are not a valid message, so the harness has to end the process."""
 
     def __init__(self, why: str = "its process answered nonsense") -> None:
         super().__init__(why)
 
 
 class Channel:
-    """Two file descriptors, one to write to and one to read from.
+    """A pair of file descriptors, one for writing and one for reading.
 
-    While the channel waits, it passes the bytes of ``output`` to ``hear``. ``ended`` returns the error that
-    describes how the process ended. Close the channel after a GoneError or any other exception from ``send``,
-    ``frame`` or ``line``.
+    While the channel waits, it reads the bytes that arrive at the descriptor ``output``, and passes them to
+    ``hear``. ``ended`` is a function that returns an error about the way in which the process ended. After a
+    GoneError or any other exception from ``send``, ``frame`` or ``line``, the channel must be closed.
     """
 
     def __init__(
@@ -52,7 +52,10 @@ class Channel:
             os.set_blocking(fd, False)
 
     def send(self, data: bytes, limit_s: float) -> None:
-        """Send ``data``; GoneError if the process has not read all of it within ``limit_s``."""
+        """Send ``data``.
+
+        Raise GoneError if the process has not read all data within ``limit_s``.
+        """
         until_s = time.monotonic() + limit_s
         view = memoryview(data)
         while view:
@@ -67,7 +70,8 @@ class Channel:
         """Return the message in the next frame.
 
         Raises:
-            GoneError: Within ``limit_s`` no bytes come, or bytes that are not a frame.
+            GoneError: The time ``limit_s`` ends before a frame has arrived, or the bytes that arrive are no
+                frame.
 
         """
         until_s = time.monotonic() + limit_s
@@ -81,11 +85,13 @@ class Channel:
         """Return the next line without its line end.
 
         Raises:
-            GoneError: No line comes within ``limit_s``, or it is longer than ``most`` bytes.
+            GoneError: The time ``limit_s`` ends before a line has arrived, or the line is longer than
+                ``most`` bytes.
 
         """
         until_s = time.monotonic() + limit_s
         searched = 0
+        # Search only the new bytes, because a long line arrives in many parts.
         while (end := self._come.find(b"\n", searched)) < 0 and len(self._come) <= most:
             searched = len(self._come)
             self._read(until_s)
@@ -96,13 +102,16 @@ class Channel:
 
     @property
     def pending(self) -> bool:
-        """Whether there is unread input, or the process is gone."""
+        """Whether there is unread input, or the process has closed its side."""
         poll = select.poll()
         poll.register(self._receiving, select.POLLIN)
         return bool(self._come or poll.poll(0))
 
     def drain(self) -> bool:
-        """Pass the waiting output to ``hear``; return False if the output has ended."""
+        """Pass the output that has arrived to ``hear``.
+
+        Return False if the output has ended.
+        """
         try:
             heard = os.read(self._output, AT_ONCE) if self._output >= 0 else b""
         except BlockingIOError:
@@ -117,7 +126,10 @@ class Channel:
         return data
 
     def _read(self, until_s: float) -> None:
-        """Read at least one more byte, unless the poll reported readiness by mistake."""
+        """Read at least one more byte.
+
+        If the poll reported readiness by mistake, read no byte.
+        """
         self._wait_for(self._receiving, select.POLLIN, until_s)
         try:
             part = os.read(self._receiving, AT_ONCE)
@@ -130,9 +142,10 @@ class Channel:
         self._come += part
 
     def _wait_for(self, fd: int, event: int, until_s: float) -> None:
-        """Wait until ``fd`` is ready, and pass output on meanwhile.
+        """Wait until ``fd`` is ready.
 
-        Otherwise the process might wait for ever for a reader of its output.
+        Meanwhile, pass the output of the process to ``hear``. If the output were not read, the process might
+        wait for ever to write more.
         """
         poll = self._polls.get(event)
         if poll is None:

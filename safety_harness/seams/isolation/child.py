@@ -1,7 +1,7 @@
-"""The process of a user's file: it makes objects of one kind, and answers calls to them, one after another.
+"""Serve objects of a user's file in a separate process, which answers calls to them one after another.
 
-The process sets its own limits, and ends when the harness ends. It must start quickly, so no import here
-waits for a compiler.
+The process limits its own memory, and ends when the harness ends. The process must start quickly, so this
+module imports no compiler.
 """
 
 from __future__ import annotations
@@ -40,7 +40,10 @@ MOST_TOLD = 1 << 30  # the largest message to the process, in bytes
 
 
 class ServedKind(ABC):
-    """The objects of one kind that a user's file provides, by number, and the calls that they answer."""
+    """One kind of objects that a user's file provides, with the calls that they answer.
+
+    ``made`` contains the objects by number.
+    """
 
     what: str  # "an avoider"
     told: msgspec.msgpack.Decoder[Any]  # Make, Drop and the calls
@@ -50,15 +53,21 @@ class ServedKind(ABC):
 
     @abstractmethod
     def make(self, message: Make, path: Path, wanted: dict[str, Any]) -> ProcessMessage:
-        """Make an object, and return its description of itself; any exception refuses the file."""
+        """Create an object, and return its description.
+
+        Any exception means that the file is refused.
+        """
 
     @abstractmethod
     def answers(self, message: Any) -> Iterator[ProcessMessage]:
-        """Yield the answers to a call; any exception is reported as a failed call."""
+        """Yield the answers to a call.
+
+        Any exception is reported as a failed call.
+        """
 
 
 def serve(kind: ServedKind, question_fd: int, answer_fd: int) -> None:
-    """Answer calls until the harness is gone."""
+    """Answer calls until the harness has ended."""
     ends, file = _Ends(question_fd, answer_fd), ""
     while True:
         message = kind.told.decode(ends.read(MOST_TOLD))
@@ -93,10 +102,10 @@ def _made(kind: ServedKind, message: Make, path: Path, wanted: dict[str, Any]) -
 
 
 class _Ends:
-    """The process's two descriptors: it reads our messages and writes its answers, in frames."""
+    """The two descriptors through which the process reads our messages and writes its answers, in frames."""
 
     def __init__(self, question_fd: int, answer_fd: int) -> None:
-        """Limit this process from now on, and make it end when the harness ends."""
+        """Limit the memory of this process, and make it end when the harness ends."""
         limit()
         for fd in (question_fd, answer_fd):
             os.set_inheritable(fd, False)
@@ -107,14 +116,17 @@ class _Ends:
         self._process = os.getpid()
 
     def read(self, most: int) -> bytes:
-        """Return the next message; end the process if no more messages can come."""
+        """Return the next message.
+
+        End the process if no more messages can arrive.
+        """
         header = self._questions.read(HEADER.size)
         if not header:
             os._exit(0)  # the other side is gone
         return self._questions.read(length_of(header, most))
 
     def write(self, message: ProcessMessage) -> None:
-        """Send a message after all output that the user's file has printed so far."""
+        """Send a message, but first flush all output that the user's file has printed so far."""
         if os.getpid() != self._process:
             os._exit(0)  # a fork by the user's file that returned to our code
         for stream in (sys.stdout, sys.stderr):  # it may have closed its output
@@ -125,7 +137,11 @@ class _Ends:
 
 
 def limit(process: int = 0) -> None:
-    """Limit a process's data to MEMORY_BYTES and forbid core files; 0 means this process."""
+    """Limit the data of a process to MEMORY_BYTES, and forbid core files.
+
+    ``process`` is the number of the process. The number 0 means this process.
+    """
+    # RLIMIT_DATA instead of RLIMIT_AS, because libraries reserve more addresses than they use.
     for kind, most in ((resource.RLIMIT_DATA, MEMORY_BYTES), (resource.RLIMIT_CORE, 0)):
         _, hard = resource.prlimit(process, kind)
         least = most if hard == resource.RLIM_INFINITY else min(most, hard)
@@ -133,13 +149,16 @@ def limit(process: int = 0) -> None:
 
 
 def _close(*fds: int) -> None:
-    """Close our descriptors in a process that the user's file forks, because it must not send us messages."""
+    """Close our descriptors in a fork of this process.
+
+    A fork that the user's file creates must not send us messages.
+    """
     for fd in fds:
         os.closerange(fd, fd + 1)  # closerange ignores errors
 
 
 def _end_with(question_fd: int) -> None:
-    """Kill this process and its forks when the harness is gone, even while they compute an answer."""
+    """Kill this process and its forks as soon as the harness has ended, even during a computation."""
     gone = select.poll()
     gone.register(question_fd, 0)  # poll always reports a hang-up
     gone.poll()

@@ -1,7 +1,7 @@
-"""A connection to another process, of one of three kinds: a user's file, a program or a socket.
+"""A connection to another process, which serves a user's file, is a program, or listens at a socket.
 
-For every kind of object, this module begins and ends the process, limits its time and reports its refusals.
-Each kind of object defines its own questions.
+This module starts and ends the process, applies time limits and reports refusals, in the same way for every
+kind of object. The messages for a kind of object are defined elsewhere.
 """
 
 from __future__ import annotations
@@ -34,7 +34,10 @@ class Socket:
     """A connection to a process that listens at ``address``: (host, port), or the path of a Unix socket."""
 
     def __init__(self, address: tuple[str, int] | str, limit_s: float) -> None:
-        """Connect within ``limit_s``; GoneError if nothing answers."""
+        """Connect within ``limit_s``.
+
+        Raise GoneError if no program answers at the address.
+        """
         family = socket.AF_UNIX if isinstance(address, str) else socket.AF_INET
         self.owner = os.getpid()
         line = socket.socket(family, socket.SOCK_STREAM)
@@ -43,6 +46,7 @@ class Socket:
             line.settimeout(limit_s)
             line.connect(address)
             if family == socket.AF_INET:
+                # A message must not wait for the acknowledgement of the previous one (Nagle's algorithm).
                 line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         except OSError as error:
             raise GoneError(f"no program answers there: {error.strerror or error}") from error
@@ -57,21 +61,21 @@ Peer = Process | Socket  # the other end of a connection
 
 @dataclass(frozen=True)
 class Wire:
-    """The encoding of messages, and the function that reads the next message within a time limit."""
+    """The encoding of messages, with a function that reads the next message within a time limit."""
 
     sent: Callable[[ProcessMessage], bytes]
     next: Callable[[Channel, float], Any]
 
 
 def binary_wire(decode: Callable[[bytes], Any], most: int) -> Wire:
-    """Return the wire to a process of ours: MessagePack in frames of at most ``most`` bytes."""
+    """Return the wire to a process of this package, with MessagePack in frames of at most ``most`` bytes."""
     return Wire(
         lambda message: framed(packed(message)), lambda channel, limit_s: decode(channel.frame(limit_s, most))
     )
 
 
 def json_wire(decode: Callable[[bytes], Any], most: int) -> Wire:
-    """Return the wire to a program: one JSON object on each line of at most ``most`` bytes."""
+    """Return the wire to a program, with one JSON object per line of at most ``most`` bytes."""
     encode = msgspec.json.Encoder(enc_hook=plain).encode
     return Wire(
         lambda message: encode(message) + b"\n", lambda channel, limit_s: decode(channel.line(limit_s, most))
@@ -79,9 +83,9 @@ def json_wire(decode: Callable[[bytes], Any], most: int) -> Wire:
 
 
 class RefusedError(Exception):
-    """The other process has no such object.
+    """The other process does not provide the requested object.
 
-    The error states the expectation, the actual thing, a hint for further reading, and the field.
+    The error states the expected and the actual object, a hint on further reading, and the field.
     """
 
     def __init__(self, expected: str, got: str, hint: str = "", field: str = "") -> None:
@@ -90,11 +94,11 @@ class RefusedError(Exception):
 
 
 class Connection:
-    """A connection that ``start`` begins, and begins again if the process at its other end is gone.
+    """A connection that calls ``start`` to begin, and calls it again if the peer has ended.
 
-    ``generation`` counts the processes, since an object of an earlier process is lost. Several users may
-    share a connection. Each user takes a number from ``numbers`` for each object, and holds the ``lock``
-    during a question.
+    ``generation`` is the number of processes so far, because objects of an earlier process are lost. Several
+    users may share a connection. Each user gets a number from ``numbers`` for each object, and must own the
+    ``lock`` during a question.
     """
 
     def __init__(self, start: Callable[[], Peer], wire: Wire) -> None:
@@ -105,25 +109,28 @@ class Connection:
 
     @property
     def alive(self) -> bool:
-        """Whether there is a peer that belongs to this process, rather than to the process that forked it."""
+        """Whether there is a peer that this process started.
+
+        A peer from before a fork does not count, because it only answers the parent process.
+        """
         if self._peer is not None and self._peer.owner != os.getpid():
             self._peer = None  # the peer answers only the process that started it
         return self._peer is not None
 
     @property
     def quiet(self) -> bool:
-        """Whether there is a peer that has answered all questions, and has written nothing since."""
+        """Whether there is a peer that has answered all questions and has not sent anything since then."""
         return self.alive and not self._channel.pending
 
     def introduce(self, first: ProcessMessage, kind: type[M], limit_s: float) -> M:
-        """Return the answer to a first message, which must be of type ``kind``.
+        """Return the answer to the first message about an object.
 
-        Without a peer, start one. If the peer of earlier objects is gone, start a new one and repeat the
-        message once.
+        The answer must be of type ``kind``. If there is no peer, the method starts a peer. If the peer of
+        earlier objects has ended, the method starts a new peer and repeats the message once.
 
         Raises:
-            GoneError: No answer comes within ``limit_s``.
-            RefusedError: The peer refuses, or its answer has another type.
+            GoneError: No answer has arrived within ``limit_s``, or the new process has ended.
+            RefusedError: The peer refuses the object, or its answer has another type.
 
         """
         new = not self.alive
@@ -146,27 +153,37 @@ class Connection:
         return answer
 
     def say(self, message: ProcessMessage, limit_s: float) -> None:
-        """Send a message; GoneError if the peer does not read it within the limit."""
+        """Send a message.
+
+        Raise GoneError if the peer does not read the message within the limit.
+        """
         while self._forgotten:
             self._channel.send(self._wire.sent(Drop(self._forgotten.popleft())), limit_s)
         self._channel.send(self._wire.sent(message), limit_s)
 
     def forget(self, number: int) -> None:
-        """Let the peer drop an object, just before the next message to it.
+        """Make the peer drop an object.
 
-        A caller may use this method while another message is on its way.
+        The request is sent just before the next message to the peer. A caller may use this method at any
+        time, even while a message is being sent.
         """
         self._forgotten.append(number)
 
     def hear(self, limit_s: float) -> Any:
-        """Return the peer's next message; GoneError if no valid message comes within the limit."""
+        """Return the peer's next message.
+
+        Raise GoneError if no valid message arrives within the limit.
+        """
         try:
             return self._wire.next(self._channel, limit_s)
         except (ValueError, RecursionError, msgspec.MsgspecError) as error:
             raise NonsenseError(f"it sent no valid message: {printable(str(error))}") from None
 
     def end(self) -> None:
-        """End the process, which loses all its objects."""
+        """End the peer's process.
+
+        All objects in it are lost.
+        """
         if self._peer is not None:
             self._peer.end()
             self._peer = None
@@ -176,14 +193,15 @@ class Connection:
 def refusing(
     error: type[InputError], expected: str, within_s: float, place: Place | None, file: Path | None = None
 ) -> Iterator[None]:
-    """Raise ``error`` if the code in the block gets no object, or if the process ends during it.
+    """Raise ``error`` if the other process refuses the object or ends while the block runs.
 
     Args:
-        error: The class to raise.
-        expected: The expectation that the error states if the process is gone.
-        within_s: The time limit [s] that the error states if the process hung.
-        place: The place of the error, which then names the field that the process reports. None: this field
-            of ``file``.
+        error: The class of the error.
+        expected: The expected behaviour of the process, which the error states if the process has ended.
+        within_s: The time limit [s] for the answer. The error states it if the process did not answer in
+            time.
+        place: The place of the error. If a place is given, the error's text states the field that the process
+            reports. None means that this field of ``file`` is the place.
         file: The user's file.
 
     """
@@ -209,14 +227,15 @@ def process_of(
 ) -> Callable[[], Process]:
     """Return a function that starts the process of a user's file.
 
-    Before the first execution of the file, the function logs a warning.
+    The returned function logs a warning before the file is executed for the first time.
 
     Args:
         path: The user's file.
         source: The bytes of the file.
         logger: The logger of the warning and of the file's output.
-        begin: A partial of ``Process`` that still needs the listener for its output.
-        silent: True to log no output of the file.
+        begin: A function that starts and returns a ``Process``. Its only argument is the listener for the
+            process's output.
+        silent: Whether to log no output of the file.
 
     """
     heard = Heard(path.name, logger, silent=silent)

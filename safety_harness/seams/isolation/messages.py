@@ -1,8 +1,9 @@
-"""Messages between the harness and the process of a user's file: MessagePack in frames, never a pickle.
+"""Messages between the harness and the process of a user's file.
 
-These messages serve every kind of object. Each kind adds its own calls and answers (``child.ServedKind``),
-such as ``Ask`` for an avoider and ``Act`` for a controller. Each side decodes only the messages that its peer
-may send.
+The messages are MessagePack data in frames. They are never pickles, because a pickle could execute code. The
+messages in this module are common to all kinds of objects. Each kind adds its own requests and answers
+(``child.ServedKind``), such as ``Ask`` for an avoider and ``Act`` for a controller. Each side decodes only
+the messages that its peer may send.
 """
 
 from __future__ import annotations
@@ -30,7 +31,10 @@ def framed(message: bytes) -> bytes:
 
 
 def length_of(header: bytes, most: int) -> int:
-    """Return the length that ``header`` states; ValueError if it is above ``most`` or MAGIC is missing."""
+    """Return the message length that ``header`` states.
+
+    Raise ValueError if it is above ``most`` or MAGIC is missing.
+    """
     magic, length = HEADER.unpack(header)
     if magic != MAGIC or length > most:
         raise ValueError("no frame of ours")
@@ -38,13 +42,19 @@ def length_of(header: bytes, most: int) -> int:
 
 
 class ProcessMessage(Struct, tag_field="say"):
-    """A message; ``call`` is the method of the user's object that it calls, for texts of failures."""
+    """A message.
+
+    The message calls a method of the user. Texts about failures state this method's name, which is ``call``.
+    """
 
     call: ClassVar[str] = "make"
 
 
 class Make(ProcessMessage, tag="make"):
-    """The request to make an object; ``wanted`` describes it in JSON, ``source`` is its file's bytes."""
+    """A request to create an object.
+
+    ``wanted`` describes the object in JSON, and ``source`` contains the bytes of the user's file.
+    """
 
     number: int
     wanted: bytes
@@ -54,14 +64,17 @@ class Make(ProcessMessage, tag="make"):
     def from_file(
         cls, path: Path, source: bytes, name: str, number: int = 0, *, onnx: bool = False, **more: object
     ) -> Make:
-        """Return the request for the object behind a file reference, with this process's folder and modules.
+        """Return the request for the object to which a file reference refers.
+
+        The request also states this process's working directory and its search path for modules.
 
         Args:
             path: The user's file.
             source: The bytes of the file.
-            name: An attribute of the file, or the layout of an ``onnx`` file.
-            number: The number of the object in later calls.
-            onnx: True for an ONNX file. The suffix cannot tell, because it may be that of a link.
+            name: The name of an attribute of the file, or the layout of an ``onnx`` file.
+            number: The number by which later calls refer to the object.
+            onnx: Whether the file is an ONNX file. The suffix does not always show this, because the path may
+                be a link.
             more: Further entries of the description, by name.
 
         """
@@ -71,15 +84,15 @@ class Make(ProcessMessage, tag="make"):
 
 
 class Drop(ProcessMessage, tag="drop"):
-    """The request to forget the object with this number."""
+    """A request to forget the object with this number."""
 
     number: int
 
 
 class Refused(ProcessMessage, tag="none"):
-    """The answer that the file provides no such object.
+    """The answer that the file does not provide the requested object.
 
-    It states the expectation, the actual thing, a hint for further reading, and the field.
+    The answer states the expected and the actual object, a hint on further reading, and the field.
     """
 
     expected: str
@@ -89,25 +102,34 @@ class Refused(ProcessMessage, tag="none"):
 
 
 class Failed(ProcessMessage, tag="failed", forbid_unknown_fields=True):
-    """The answer that the call failed, with the reason."""
+    """The answer that a call failed, with the reason."""
 
     why: str
 
 
 def decoder_of(messages: Any) -> msgspec.msgpack.Decoder[Any]:
-    """Return the decoder for a union of messages, which makes their arrays read-only and float64."""
+    """Return the decoder for a union of messages.
+
+    The decoder converts the messages' arrays to read-only float64 arrays.
+    """
     return msgspec.msgpack.Decoder(messages, dec_hook=array_of)
 
 
 def array_of(kind: type, value: object) -> Any:
-    """Return a message's numbers as a read-only float64 array; TypeError or ValueError for other values."""
+    """Return the numbers in a message as a read-only float64 array.
+
+    Raise TypeError or ValueError for other values.
+    """
     array = np.array(value, dtype=np.float64)
     array.flags.writeable = False
     return array
 
 
 def plain(value: object) -> object:
-    """Return an array as numbers, or pixels as bytes; TypeError for anything else."""
+    """Return an array as a list of numbers, or an array of pixels as bytes.
+
+    Raise TypeError for any other type.
+    """
     if isinstance(value, np.ndarray):
         return value.tobytes() if value.dtype == np.uint8 else value.tolist()
     if isinstance(value, np.generic):

@@ -1,7 +1,8 @@
-"""The files that a user's module reads: the module's process records each file with the hash of its bytes.
+"""Record the files that a user's module reads, each with the hash of its bytes.
 
-A Python audit hook observes imports and files opened for reading, also by ``numpy.load`` and ``zipfile``. It
-does not observe files that a library reads without Python. A module lists such files in ``HARNESS_FILES``.
+A Python audit hook in the module's process observes imports and files that are opened for reading, also by
+``numpy.load`` and ``zipfile``. The hook does not observe files that a library opens without Python. The
+module must list such files in ``HARNESS_FILES``.
 """
 
 from __future__ import annotations
@@ -29,19 +30,24 @@ _journals: dict[int, int] = {}  # by process, since a fork needs a journal of it
 
 
 def environment() -> tuple[Mapping[str, str], int]:
-    """Return the environment for a process that records files, and the descriptor that it must inherit."""
+    """Return the environment for a process that records files.
+
+    Also return the descriptor of the journal, which the process must inherit.
+    """
     own = os.getpid()
     if own not in _journals:
+        # A file in memory: the child writes through an inherited descriptor, and no file remains on the disk.
         _journals[own] = os.memfd_create("safety-harness-opened")
     return {**os.environ, _JOURNAL: str(_journals[own])}, _journals[own]
 
 
 def noted(begin: int) -> tuple[list[tuple[str, str, str]], int]:
-    """Return the records in the journal from byte ``begin`` on, and the journal's present end.
+    """Return the records in the journal, beginning with byte ``begin``.
 
-    Each record is (SHA-256 of the module, path, SHA-256 of the file). The last hash is empty for a file that
-    the module writes itself, because such a file is the module's memory and not a part of the module. Other
-    text that the module writes to the journal is skipped.
+    Also return the position at which the last record ends. Each record is (SHA-256 of the module, path,
+    SHA-256 of the file). The last hash is empty for a file that the module writes, because such a file is the
+    module's memory rather than a part of the module. The function skips any other text that the module writes
+    to the journal.
     """
     journal = _journals.get(os.getpid())
     data = b"" if journal is None else os.pread(journal, os.fstat(journal).st_size - begin, begin)
@@ -52,7 +58,10 @@ def noted(begin: int) -> tuple[list[tuple[str, str, str]], int]:
 
 
 def watch(module: Path, source: bytes) -> None:
-    """Record the files that are read below the project of ``module`` from now on, if there is a journal."""
+    """Record the files below the project of ``module`` that are read from now on.
+
+    If there is no journal, record no files.
+    """
     if _JOURNAL in os.environ:
         journal = int(os.environ.pop(_JOURNAL))
         os.set_inheritable(journal, False)
@@ -61,24 +70,28 @@ def watch(module: Path, source: bytes) -> None:
 
 
 def declare(file: Path) -> None:
-    """Record a file wherever it is; OSError if it cannot be read."""
+    """Record a file in any folder.
+
+    Raise OSError if the file cannot be read.
+    """
     file.open("rb").close()
     for hook in _hooks:
         hook.note(os.path.abspath(file))
 
 
 def sha256_of(path: str | Path) -> str:
-    """Return the hash of a file's bytes; empty if the file cannot be read."""
+    """Return the hash of a file's bytes, or an empty text if the file cannot be read."""
     with suppress(OSError):
         return whole_hash(Path(path))
     return ""
 
 
 class _Hook:
-    """The audit hook, which records files below the project's folder.
+    """The audit hook that records files below the project's folder.
 
-    That folder is the nearest parent of the module that contains one of ``_MARKS``. Without such a parent, it
-    is the working directory if the module lies in it, or else the module's own folder.
+    That folder is the nearest parent of the module that contains one of ``_MARKS``. If there is no such
+    parent and the module is below the working directory, the project's folder is the working directory.
+    Otherwise it is the module's own folder.
     """
 
     def __init__(self, journal: int, module: Path, source: bytes) -> None:
@@ -99,6 +112,7 @@ class _Hook:
 
     def _record(self, path: str, written: bool) -> None:
         if "/__pycache__/" in path:
+            # A cached module stands for its source.
             path = source_from_cache(path) if path.endswith(".pyc") else ""
         if not path.startswith(self._folder) or path == self._module or "-packages/" in path:
             return

@@ -1,4 +1,4 @@
-"""The process of a user's file as the harness handles it: start, messages within a time limit, end."""
+"""The process of a user's file: its start, its channel for messages, and its end."""
 
 from __future__ import annotations
 
@@ -23,18 +23,22 @@ BOOT = (
 
 
 class Process:
-    """One process; ``hear`` receives the bytes of its output.
+    """A process that the harness started.
 
-    ``command`` starts it, with two more arguments: the descriptors at which it reads our messages and writes
-    its answers. Its output is then standard output and standard error. If ``by_stdio``, a program receives
-    and sends messages on standard input and output, so that its output is standard error alone. The process
-    may hold MEMORY_BYTES of data.
+    ``hear`` receives the bytes of its output. Two arguments are added to ``command``: the descriptors from
+    which the process reads our messages and to which it writes its answers. In this case, its output is
+    everything on standard output and standard error. If ``by_stdio`` is true, a program instead receives
+    messages on standard input and sends answers on standard output, so that only standard error is its
+    output. The data of the process may occupy at most MEMORY_BYTES.
     """
 
     def __init__(
         self, command: Sequence[str], hear: Callable[[bytes], None], *, by_stdio: bool = False
     ) -> None:
-        """Start the process; OSError if it cannot start."""
+        """Start the process.
+
+        Raise OSError if the process cannot start.
+        """
         self._hear = hear
         self.owner = os.getpid()
         variables, journal = environment()
@@ -57,6 +61,7 @@ class Process:
         finally:
             os.close(question_in)
             os.close(answer_out)
+        # If both streams carry output, they share one pipe, so that the order of lines is kept.
         output = self._child.stderr if by_stdio else self._child.stdout
         assert output is not None
         self.channel = Channel(question, answer, output.fileno(), hear, self._ended)
@@ -67,19 +72,23 @@ class Process:
 
     @classmethod
     def python(cls, module: str, hear: Callable[[bytes], None]) -> Process:
-        """Start a Python that runs ``main`` of our ``module`` with the two descriptors, and limits itself."""
+        """Start Python to run ``main`` of our ``module``, with the two descriptors as its arguments.
+
+        The process then limits its own memory.
+        """
         return cls([sys.executable, "-P", "-u", "-c", BOOT, module, json.dumps(sys.path)], hear)
 
     def end(self) -> None:
-        """Kill the process and its forks, after passing on the rest of its output."""
+        """Pass on the rest of the output, and then kill the process and its forks."""
         if self._finish.alive and self.channel.drain():
             self._hear(b"")
         self._finish()
 
     def _ended(self) -> GoneError:
-        """Return the error that states how the process ended.
+        """Return an error about the way in which the process ended.
 
-        The method leaves the process unreaped, so that its group keeps its number until the group is killed.
+        The method does not remove the ended process from the process table. Its number therefore stays
+        reserved until the group is killed.
         """
         until_s = time.monotonic() + 1.0
         while time.monotonic() < until_s:
@@ -94,7 +103,10 @@ class Process:
 
 
 def _finish(owner: int, child: subprocess.Popen[bytes], fds: tuple[int, ...]) -> None:
-    """Kill the process and its group once; a fork of ours that inherited it only closes its descriptors."""
+    """Kill the process and its group.
+
+    In a fork of the harness that inherited the object, only close its descriptors.
+    """
     if os.getpid() == owner:
         for kill in (os.killpg, os.kill):  # it may have left its group
             with contextlib.suppress(ProcessLookupError, PermissionError):

@@ -1,4 +1,4 @@
-"""A command's messages about a user's file that it executes, and about the file's output."""
+"""Messages to the user about a user's file that a command executes, and about the file's output."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ executed: dict[tuple[Path, str], str] = {}  # executed files, each with its text
 
 
 def say_it_is_executed(path: Path, source: bytes, logger: logging.Logger) -> None:
-    """Warn before this command executes a file for the first time; worker processes print no warning."""
+    """Warn before this command executes a file for the first time.
+
+    Worker processes print no warning.
+    """
     key = path, hashlib.sha256(source).hexdigest()
     if key in executed:
         return
@@ -27,9 +30,9 @@ def say_it_is_executed(path: Path, source: bytes, logger: logging.Logger) -> Non
 
 
 class Heard:
-    """A listener that logs the first lines of output of a file called ``name``.
+    """A listener that logs the first lines of the output of the file ``name``.
 
-    A ``silent`` listener logs no line.
+    If ``silent`` is true, it logs no lines.
     """
 
     def __init__(self, name: str, logger: logging.Logger, *, silent: bool = False) -> None:
@@ -38,7 +41,10 @@ class Heard:
         self._lines = MOST_LINES + 1 if silent else 0
 
     def hear(self, written: bytes) -> None:
-        """Log the next bytes of output; empty bytes mean the end."""
+        """Log the next bytes of the output.
+
+        Empty bytes mean that the output has ended.
+        """
         if self._lines > MOST_LINES:
             return
         *lines, self._begun = (self._begun + written[:65_536]).split(b"\n")

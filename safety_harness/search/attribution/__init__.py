@@ -1,1 +1,1 @@
-"""Attribution: find the cause of a violation by changing one ingredient of its run at a time, then two."""
+"""Find the causes of violations by repeating a run with one or two changed ingredients."""

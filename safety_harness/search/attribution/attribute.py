@@ -1,8 +1,8 @@
-"""Attribute a violation: repeat its run with one ingredient changed at a time, then with two.
+"""Find the cause of a violation by repeating its run with one changed ingredient, then with two.
 
-By default, all replays run in the kinematic world, together. A violation that the unchanged replay does not
-reproduce is not attributed. A violation that no arm could avoid is unavoidable. For every other violation,
-the result names the smallest sets of ingredients whose change avoids it.
+By default, all replays run in the kinematic world, in one batch. A violation that the unchanged replay does
+not reproduce is not attributed. A violation that no arm could avoid is unavoidable. For every other
+violation, the result lists the smallest sets of ingredients that must change to avoid the violation.
 """
 
 from __future__ import annotations
@@ -45,7 +45,10 @@ class Outcome(Enum):
 
     @classmethod
     def from_evaluation(cls, evaluation: Evaluation) -> Outcome:
-        """Return the outcome for ``evaluation``; an inconclusive one may only lack an occasion."""
+        """Return the outcome for ``evaluation``.
+
+        An inconclusive evaluation may only mean that the run had no occasion to test the claim.
+        """
         if evaluation.verdict is not Verdict.INCONCLUSIVE:
             return cls.KEPT if evaluation.verdict is Verdict.HOLDS else cls.VIOLATED
         idle = evaluation.reason.startswith(("never exercised", NOT_MODELLED))
@@ -54,7 +57,10 @@ class Outcome(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """One replay of a run after ``changes``; ``margin`` [SI] is None if the evaluation has no margin."""
+    """One replay of a run after ``changes``.
+
+    ``margin`` [SI] is None if the evaluation has no margin.
+    """
 
     changes: tuple[Change, ...]
     outcome: Outcome
@@ -73,12 +79,12 @@ class Replay:
 
     @property
     def summary(self) -> str:
-        """The changes in words."""
+        """A text that describes the changes."""
         return " and ".join(map(str, self.changes))
 
 
 class AttributionAnswer(Enum):
-    """The four possible answers to the question about a violation's cause."""
+    """The four possible results of an attribution."""
 
     NOT_ATTRIBUTED = "not attributed"
     UNAVOIDABLE = "unavoidable"
@@ -90,9 +96,10 @@ class AttributionAnswer(Enum):
 class Attribution:
     """The cause of one violation.
 
-    ``margin`` [SI] is the margin of the unchanged replay. ``why`` tells why a violation is unavoidable or not
-    attributed. ``replays`` are all replays with changes. ``helping`` has one replay for each smallest set of
-    ingredients whose change avoids the violation; the first set is blamed.
+    ``margin`` [SI] is the margin of the unchanged replay. ``why`` is the reason why a violation is
+    unavoidable or not attributed. ``replays`` contains all replays with changes. ``helping`` has one replay
+    for each smallest set of ingredients whose change avoids the violation. The blamed set of ingredients is
+    the set that the first of these replays changes.
     """
 
     scenario: str
@@ -106,12 +113,15 @@ class Attribution:
 
     @property
     def cause(self) -> tuple[Ingredient, ...]:
-        """The blamed set of ingredients; empty if no change avoids the violation."""
+        """The blamed set of ingredients, or an empty set if no change avoids the violation."""
         return self.helping[0].ingredients if self.helping else ()
 
     @property
     def mending(self) -> tuple[str, ...]:
-        """All changes of the blamed ingredient that avoid the violation; empty if the cause is a pair."""
+        """All changes of the blamed ingredient that avoid the violation.
+
+        The result is empty if the cause is a pair.
+        """
         if len(self.cause) != 1:
             return ()
         return tuple(
@@ -120,12 +130,18 @@ class Attribution:
 
     @property
     def group(self) -> str:
-        """The group in which a tally counts this violation: the blamed ingredients, else the answer."""
+        """The name of the violation's group in a tally.
+
+        The name lists the blamed ingredients. If no ingredient is blamed, the name is the text of ``answer``.
+        """
         return " and ".join(ingredient.value for ingredient in self.cause) or self.answer.value
 
     @property
     def summary(self) -> str:
-        """The answer in words, with the changes that avoid the violation as alternatives."""
+        """A text that describes the answer.
+
+        The text lists the changes that avoid the violation as alternatives.
+        """
         if not self.helping:
             return self.answer.value + (f": {self.why}" if self.why else "")
         return "; or ".join(f"{replay.summary}: {self._result_of(replay)}" for replay in self.helping)
@@ -133,7 +149,10 @@ class Attribution:
     words = summary  # deprecated: the old name, for one release
 
     def _result_of(self, replay: Replay) -> str:
-        """Return the margin of ``replay`` in words, after its outcome unless the claim is kept."""
+        """Return a text that describes the result of ``replay``.
+
+        If the claim is kept, the text is only the margin. Otherwise, the text begins with the outcome.
+        """
         margin: str = self.unit.margin_text(replay.margin)
         if replay.outcome is Outcome.KEPT:
             return margin
@@ -142,19 +161,25 @@ class Attribution:
 
 
 class Runner(Protocol):
-    """A function that runs altered systems; an Exception stands for a run that could not be finished."""
+    """A function that runs altered systems.
+
+    If a run cannot be finished, the function returns an Exception instead of the run.
+    """
 
     def __call__(self, systems: Sequence[Altered], /) -> Sequence[Trace | Exception]:
         """Return one run for each system, in their order.
 
-        A runner may spoil an ingredient by a fault outside the scenario. It leaves the ingredient sound if
-        ``changes`` contain that ingredient.
+        A runner may disturb an ingredient with a fault that is not part of the scenario. If the ``changes``
+        of a system contain this ingredient, the runner does not disturb it.
         """
 
 
 @dataclass(frozen=True)
 class ReplaysInWorld:
-    """A Runner in ``world`` that spoils no ingredient; Ctrl-C raises KeyboardInterrupt."""
+    """A Runner that uses ``world`` and disturbs no ingredient.
+
+    Ctrl-C raises KeyboardInterrupt.
+    """
 
     world: WorldEntry = KINEMATIC
 
@@ -183,17 +208,19 @@ def attribute(
 
     Args:
         admitted: The admitted scenario.
-        claims: Claims that were violated in some world. Without them, the function attributes each violation
-            of the scenario's own claims that the replay shows or the scenario expects.
+        claims: Claims that were violated in some world. If no claims are given, the function attributes
+            violations of the scenario's own claims, if the unchanged replay shows them or the scenario
+            expects them.
         run: The runner of the replays.
-        faulty: The ingredients that ``run`` spoils by faults outside the scenario.
+        faulty: The ingredients that ``run`` disturbs with faults that are not part of the scenario.
 
     Returns:
         One attribution for each violation.
 
     Raises:
-        InadmissibleError: A claim cannot be judged in this scenario.
-        Exception: The unchanged replay fails with it, and no violation was given or expected.
+        InadmissibleError: The scenario has a claim that cannot be judged.
+        Exception: The unchanged replay failed with this exception. The function raises it only if the caller
+            gives no claims and the scenario expects no violation.
 
     """
     given = tuple(claims)
@@ -222,7 +249,7 @@ def attribute(
 
 
 def _replay_words(run: Runner) -> str:
-    """Return the unchanged replay in words, with the world of its runner."""
+    """Return a phrase for the unchanged replay, which states the world of the runner."""
     world = world_of(run)
     return "the kinematic replay" if world is KINEMATIC else f"the replay in {world}"
 
@@ -230,12 +257,12 @@ def _replay_words(run: Runner) -> str:
 def confirmed(
     admitted: Admitted, attribution: Attribution, *, run: Runner | None = None
 ) -> tuple[Replay, ...]:
-    """Repeat the violating run in another world, first unchanged, then with the blamed change.
+    """Repeat the violating run in another world: first without a change, then with the blamed change.
 
     Args:
         admitted: The admitted scenario.
         attribution: The violation and its cause.
-        run: The runner of the other world; None: that of the first installed reference.
+        run: The runner of the other world. The default is the runner of the first installed reference.
 
     Returns:
         One replay, or two if a change is blamed.
@@ -250,7 +277,10 @@ def confirmed(
 
 
 class _Trials:
-    """The replays of one system; each list of changes runs once, however many claims use the run."""
+    """The replays of one system.
+
+    Each list of changes runs only once, even if several claims need the run.
+    """
 
     def __init__(self, system: Altered, run: Runner) -> None:
         self.system, self._run = system, run
@@ -258,7 +288,10 @@ class _Trials:
         self._idle: set[Changes] = set()  # changes without an effect
 
     def made(self, wanted: Iterable[Changes]) -> dict[Changes, Trace | Exception]:
-        """Return the run after each of the ``wanted`` lists of changes, except lists without an effect."""
+        """Return the run after each of the ``wanted`` lists of changes.
+
+        Lists without an effect are omitted.
+        """
         wanted, systems = list(wanted), dict[Changes, Altered]()
         for changes in wanted:
             if changes not in self._done and changes not in self._idle:
@@ -272,7 +305,7 @@ class _Trials:
         return {changes: self._done[changes] for changes in wanted if changes in self._done}
 
     def _altered(self, changes: Changes) -> Altered | None:
-        """Return the system after ``changes``; None if one of them has no effect."""
+        """Return the system after ``changes``, or None if one of the changes has no effect."""
         system: Altered | None = self.system
         for change in changes:
             system = None if system is None else change.on(system)
@@ -288,16 +321,20 @@ class _ClaimTrials:
     prop: Property
 
     def evaluation(self, run: Trace) -> Evaluation:
-        """Return the claim's evaluation of ``run``, with the claim read for the run's own scenario."""
+        """Return the claim's evaluation of ``run``.
+
+        The claim is interpreted for the scenario of that run.
+        """
         return property_of(self.trials.system.scenario.claims[self.number], run.scenario).evaluate(run)
 
     def attributed(self, margin: float | None, changes: Sequence[Change]) -> Attribution:
-        """Return the attribution: try the bound of ``why_unavoidable``, then single changes, then pairs.
+        """Return the attribution.
 
-        A pair combines the most helpful single changes of two ingredients. For a claim about proposals, the
-        method skips changes of a designer's choice (``chosen``). Such a claim judges the avoider's answer,
-        which the gate and the fallback cannot improve because they act later. Another prediction or critical
-        distance would only change the question to the avoider.
+        The method first tries the bound of ``why_unavoidable``, then single changes, and then pairs. A pair
+        combines the most helpful single changes of two ingredients. For a claim about proposals, the method
+        skips changes of a designer's choices (``chosen``). Such a claim judges the avoider's answer. The gate
+        and the fallback act after the answer and cannot improve it. Another prediction or critical distance
+        would only change the queries to the avoider.
         """
         why = why_unavoidable(self.trials.system, self.prop)
         if why:
@@ -323,20 +360,26 @@ class _ClaimTrials:
         return Replay(changes, Outcome.from_evaluation(evaluation), evaluation.margin)
 
     def made(self, **fields: Any) -> Attribution:
-        """Return an ``Attribution`` of the claim with ``fields`` as its other fields."""
+        """Return the ``Attribution`` for the claim.
+
+        ``fields`` has the values of all fields except scenario, claim and unit.
+        """
         scenario = self.trials.system.scenario
         claim, unit = scenario.claims[self.number], self.prop.unit
         return Attribution(scenario=scenario.name, claim=claim, unit=unit, **fields)
 
 
 def _rank(ingredients: Iterable[Ingredient]) -> list[int]:
-    """Return the place of each of ``ingredients`` in the order of ``Ingredient``."""
+    """Return the position of each of ``ingredients`` in the order of ``Ingredient``."""
     order = list(Ingredient)
     return [order.index(ingredient) for ingredient in ingredients]
 
 
 def _gain(replay: Replay) -> float:
-    """Return how near ``replay`` came to keeping the claim: its margin, or -inf without a margin."""
+    """Return a measure of how nearly ``replay`` kept the claim.
+
+    The measure is the margin, or -inf without a margin.
+    """
     return -inf if replay.margin is None or isnan(replay.margin) else replay.margin
 
 
@@ -354,11 +397,12 @@ def _best(replays: Iterable[Replay]) -> list[Replay]:
 
 
 def _least(replays: Iterable[Replay], sentence: str) -> tuple[Replay, ...]:
-    """Return one replay for each set of ingredients whose change avoids the violation, the blamed set first.
+    """Return one replay for each set of ingredients whose change avoids the violation.
 
-    Sets are sorted by ``_last_resort``, and equal sets by three further rules. A part that can break comes
-    before a choice of a designer. A set comes earlier if a greater share of its changes helps; for settings
-    this share counts as 1. The last rule is the order in ``Ingredient``.
+    The first replay in the result changes the blamed set. The sets are sorted by ``_last_resort``, and then
+    by three further rules. A part that can break comes before a designer's choice. A set comes earlier if a
+    greater fraction of its changes avoids the violation. If a set contains settings, this fraction is set to
+    1. Finally, sets are sorted by the order of the members of ``Ingredient``.
     """
     ranking = []
     for group in _by_ingredients(replays):
@@ -372,10 +416,12 @@ def _least(replays: Iterable[Replay], sentence: str) -> tuple[Replay, ...]:
 
 
 def _last_resort(replay: Replay, sentence: str, helped: int = 0) -> tuple[bool, bool, int, bool]:
-    """Return a sort key that puts the system before the hand, and a kept claim before an untested claim.
+    """Return a sort key.
 
-    For a claim about proposals, gate and settings come after the rest of the system, because they change the
-    questions. ``helped`` is the number of violations of the run that a change of the same ingredients avoids.
+    This key puts changes of the system before changes of the hand, and then kept claims before untested
+    claims. For a claim about proposals, gate and settings come after the rest of the system, because they
+    change the queries. ``helped`` states how many violations of the run are avoided by changes of the same
+    ingredients.
     """
     own = ABOUT_PROPOSALS in sentence
     led = own and not {Ingredient.GATE, Ingredient.SETTINGS}.isdisjoint(replay.ingredients)
@@ -383,9 +429,10 @@ def _last_resort(replay: Replay, sentence: str, helped: int = 0) -> tuple[bool, 
 
 
 def _jointly(attributions: Sequence[Attribution]) -> tuple[Attribution, ...]:
-    """Reorder ``helping`` of all violations of a run, so that the set that avoids most of them comes first.
+    """Sort the ``helping`` replays of each violation of a run.
 
-    One cause often leads to several violations.
+    The set of ingredients that helps with the most violations of the run comes first. One cause often leads
+    to several violations.
     """
     helped = Counter(replay.ingredients for answer in attributions for replay in answer.helping)
 

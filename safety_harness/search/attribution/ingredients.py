@@ -1,7 +1,7 @@
-"""The ingredients of a run, and for each ingredient the changes that a replay can try.
+"""Define the ingredients of a run and, for each ingredient, the changes that a replay can try.
 
-A change turns an admitted system into an altered one. It also removes the scenario's faults that belong to
-its ingredient. Attribution skips a change without an effect.
+A change converts an admitted system into an altered system. A change also removes those faults of the
+scenario that belong to its ingredient. Attribution skips a change without an effect.
 """
 
 from __future__ import annotations
@@ -61,7 +61,11 @@ FARTHEST_M = 3.0  # the largest critical distance of a scenario
 
 
 class Ingredient(Enum):
-    """An ingredient of a run; of equally helpful ingredients the first is blamed, and the person last."""
+    """An ingredient of a run.
+
+    The order of the members determines the blame. If several ingredients help equally, the first of them is
+    blamed. The hand is the last member.
+    """
 
     SAFETY_FILTER = "safety filter"
     PREDICTOR = "predictor"
@@ -86,7 +90,7 @@ OF_THE_SERVO = frozenset({Ingredient.AVOIDER, Ingredient.GATE, Ingredient.FALLBA
 class Altered(Admitted):
     """An admitted scenario after some changes.
 
-    ``fallback`` is None if the gate keeps its own fallback.
+    ``fallback`` is the new fallback of the gate, or None if the gate keeps its fallback.
     """
 
     fallback: Avoider | None = None
@@ -98,14 +102,17 @@ class Altered(Admitted):
         return cls(**{field.name: getattr(admitted, field.name) for field in fields(admitted)})
 
     def servo(self, recorded: Trace | None = None) -> AvoidingServo:
-        """Return the admitted servo, with the changed ``fallback`` if there is one."""
+        """Return the admitted servo. If ``fallback`` is set, the servo's gate uses this fallback."""
         pilot = super().servo(recorded)
         if self.fallback is not None:
             pilot.gate = replace(pilot.gate, fallback=self.fallback)
         return pilot
 
     def with_scenario(self, scenario: Scenario) -> Altered:
-        """Return the system with ``scenario``, checked like a file; raise InputError if it is refused."""
+        """Return the system with ``scenario``, after the checks of a scenario file.
+
+        Raise InputError if the scenario is refused.
+        """
         return self if scenario == self.scenario else replace(self, **vars(check(scenario)))
 
     def without(self, *kinds: type[Any] | UnionType) -> Altered:
@@ -114,21 +121,21 @@ class Altered(Admitted):
         return self.with_scenario(replace(self.scenario, faults=kept))
 
     def with_settings(self, alter: Callable[[Settings], Settings]) -> Altered:
-        """Return the system with the settings that ``alter`` returns, without a new admission.
+        """Return the system with the settings that ``alter`` returns.
 
-        ``alter`` may change only the settings of controller, hand sensor and brakes, which admission never
-        refuses.
+        Admission does not check these settings again. Therefore ``alter`` may change only settings of the
+        controller, hand sensor and brakes, which admission never refuses.
         """
         scenario = replace(self.scenario, settings=alter(self.scenario.settings))
         return self if scenario == self.scenario else replace(self, scenario=scenario)
 
 
 def setting(group: str, values: Callable[[Settings], Mapping[str, Any]]) -> Callable[[Altered], Altered]:
-    """Return a change that sets new ``values`` in one ``group`` of the settings.
+    """Return a function that alters a system by setting new ``values`` in one ``group`` of the settings.
 
     Args:
-        group: The name of the group in Settings.
-        values: The function that returns the new values by name from the present settings.
+        group: The field of ``Settings`` that contains the group.
+        values: The function that receives the present settings and returns the names and values to set.
 
     """
 
@@ -140,9 +147,10 @@ def setting(group: str, values: Callable[[Settings], Mapping[str, Any]]) -> Call
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """One change of an ingredient; ``alter`` returns the same system if the change has no effect.
+    """One change of an ingredient.
 
-    ``chosen`` marks a change of a designer's choice; all other changes repair a part that can break.
+    If the change has no effect, ``alter`` returns the same system. ``chosen`` is true if the change concerns
+    a choice of the designer. All other changes repair a part that can break.
     """
 
     ingredient: Ingredient
@@ -154,9 +162,9 @@ class Change:
         return f"{self.ingredient.value} ({self.words})"
 
     def on(self, system: Altered) -> Altered | None:
-        """Return the changed system; None if the change has no effect or is refused.
+        """Return the changed system, or None if the change has no effect or is refused.
 
-        A driven scenario has its own controller, so that changes of the servo have no effect there.
+        A driven scenario has its own controller. Therefore changes of the servo have no effect in it.
         """
         if system.scenario.driven and self.ingredient in OF_THE_SERVO:
             return None
@@ -169,7 +177,10 @@ class Change:
 
 @dataclass(frozen=True, eq=False)
 class ExactOptimum(AvoiderAround):
-    """An avoider that proposes the closed form of the networks' target in the time of ``avoider``."""
+    """An avoider that proposes the exact optimum, and takes as much time as ``avoider``.
+
+    The networks approximate this optimum.
+    """
 
     settings: Settings
     name = "exact optimum"
@@ -179,14 +190,17 @@ class ExactOptimum(AvoiderAround):
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """Return eq. 13 exactly, for ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,)."""
+        """Return the exact solution of eq. 13 for one hand position and one TCP position, both (3,)."""
         hands, tcps = hand_position_in_base_m[None], tcp_position_in_base_m[None]
         return Proposal(optimum_in_base_m(self.settings, hands, tcps)[0])
 
     def propose_many(
         self, hands_in_base_m: Vectors, tcps_in_base_m: Vectors, seeds: NDArray[np.uint64]
     ) -> tuple[Vectors, Vectors]:
-        """Return positions and zero spreads (n, 3) [m] for hands (n, 3) and TCPs (n, 3); ``seeds`` (n,)."""
+        """Return the exact positions and zero spreads, both (n, 3) [m].
+
+        The hands and TCPs have the shape (n, 3), and ``seeds`` has the shape (n,).
+        """
         return optimum_in_base_m(self.settings, hands_in_base_m, tcps_in_base_m), np.zeros_like(
             tcps_in_base_m
         )
@@ -194,7 +208,7 @@ class ExactOptimum(AvoiderAround):
 
 @dataclass(frozen=True, eq=False)
 class InTheTimeOf(AvoiderAround):
-    """An avoider that gives the answers of ``quick`` in the time that ``avoider`` takes."""
+    """An avoider that gives the answers of ``quick``, but takes as much time as ``avoider``."""
 
     quick: OppositePose
     name = "opposite pose"
@@ -204,7 +218,7 @@ class InTheTimeOf(AvoiderAround):
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """Return ``quick``'s answer, for ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,)."""
+        """Return the answer of ``quick`` for one hand position and one TCP position, both (3,)."""
         return self.quick.propose(
             hand_position_in_base_m=hand_position_in_base_m,
             tcp_position_in_base_m=tcp_position_in_base_m,
@@ -214,12 +228,15 @@ class InTheTimeOf(AvoiderAround):
     def propose_many(
         self, hands_in_base_m: Vectors, tcps_in_base_m: Vectors, seeds: NDArray[np.uint64]
     ) -> tuple[Vectors, Vectors]:
-        """Return the answers of ``quick`` to n questions; ``seeds`` (n,)."""
+        """Return the answers of ``quick`` to n queries.
+
+        ``seeds`` has the shape (n,).
+        """
         return self.quick.propose_many(hands_in_base_m, tcps_in_base_m, seeds)
 
 
 def _unfiltered(system: Altered) -> Altered:
-    """Leave the safety filter out, so that every command goes to the drives as the controller wants it."""
+    """Remove the safety filter, so that the drives receive every command as the controller issues it."""
     if system.safety_filter is None:
         return system
     return replace(system.with_scenario(replace(system.scenario, safety_filter="")), safety_filter=None)
@@ -240,7 +257,7 @@ def _optimum(system: Altered) -> Altered:
 
 
 def _opposite(system: Altered) -> Altered:
-    """Replace the avoider by one that proposes the opposite pose."""
+    """Replace the avoider by an avoider that proposes the opposite pose."""
     sound = system.without(AvoiderSilent, AvoiderNaN)
     opposite = OppositePose(system.scenario.settings.avoidance.radius_m)
     if isinstance(system.avoider, OppositePose) and system.avoider == opposite:
@@ -249,9 +266,9 @@ def _opposite(system: Altered) -> Altered:
 
 
 def _in_a_tick(system: Altered) -> Altered:
-    """Let every answer take one control period, if the avoider's answers take longer.
+    """If the avoider's answers take longer than one control period, let every answer take one control period.
 
-    An answer in no time would not exercise the claims about answers.
+    Answers without any delay would not exercise the claims about answers.
     """
     on_time, settings = system.without(AvoiderLate), system.scenario.settings
     declared = settings.avoidance.decision_time is DecisionCost.AS_DECLARED
@@ -262,7 +279,7 @@ def _in_a_tick(system: Altered) -> Altered:
 
 
 def _other_gate(settings: Settings) -> dict[str, GateKind]:
-    """Return the kind of gate that ``settings`` do not use."""
+    """Return the kind of gate that differs from the kind in ``settings``."""
     return {"gate": GateKind.REACH if settings.avoidance.gate is GateKind.FULL else GateKind.FULL}
 
 
@@ -272,7 +289,10 @@ def _stops(system: Altered) -> Altered:
 
 
 def _exact_hands(system: Altered) -> Altered:
-    """Let the hand sensor see every hand exactly and at once, and tell the filter the hand's true size."""
+    """Let the hand sensor measure every hand exactly and without delay.
+
+    The filter gets the true size of the hand.
+    """
 
     def alter(settings: Settings) -> Settings:
         place = settings.hand_sensor.overhead_position_in_base_m
@@ -283,7 +303,10 @@ def _exact_hands(system: Altered) -> Altered:
 
 
 def _exact_camera(system: Altered) -> Altered:
-    """Let the servoing camera see the object exactly and at once, from the place that the servo assumes."""
+    """Let the servoing camera measure the object exactly and without delay.
+
+    The camera has the pose that the servo assumes.
+    """
 
     def alter(settings: Settings) -> Settings:
         zero = Camera()
@@ -306,19 +329,19 @@ def _predicting(horizon_s: Callable[[Settings], float]) -> Callable[[Altered], A
 
 
 def _time_to_stop_s(settings: Settings) -> float:
-    """Return the time [s] from the question to standstill at the arm's full speed, at most 2 s."""
+    """Return the time [s] from a query until the arm has stopped from its full speed, limited to 2 s."""
     braking, fastest_mps = settings.braking, fastest_tcp_mps(settings)
     stop_s = braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * fastest_mps
     return min(settings.avoidance.decision_deadline_s + braking.reaction_time_s + stop_s, 2.0)
 
 
 def fastest_tcp_mps(settings: Settings) -> float:
-    """Return the greatest TCP speed that the controller allows [m/s]."""
+    """Return the greatest TCP speed [m/s] that the controller allows."""
     return max(settings.motion.max_tcp_speed_mps, settings.avoidance.repulsion_speed_mps)
 
 
 def _sound_drives(system: Altered) -> Altered:
-    """Free all stuck joints, let the drives follow at once, and let the brakes stop in one control period."""
+    """Free all stuck joints, remove the drives' delays, and let the brakes stop in one control period."""
 
     def alter(settings: Settings) -> Settings:
         stop_s = settings.clock.control_period_s
@@ -332,7 +355,7 @@ def _sound_drives(system: Altered) -> Altered:
 
 
 def _avoiding_from(distance_m: Callable[[Settings], float]) -> Callable[[Altered], Altered]:
-    """Return a change that enlarges the critical distance to ``distance_m``, and never makes it smaller."""
+    """Return a change that sets the critical distance to ``distance_m``, but never makes it smaller."""
 
     def larger(settings: Settings) -> dict[str, float]:
         before_m = settings.avoidance.critical_distance_m
@@ -342,7 +365,10 @@ def _avoiding_from(distance_m: Callable[[Settings], float]) -> Callable[[Altered
 
 
 def _at_default(group: str, name: str) -> Callable[[Altered], Altered]:
-    """Return a change of one setting to its default; an avoider made from settings is made anew."""
+    """Return a change of one setting to its default.
+
+    An avoider that depends on settings is created anew.
+    """
     default = getattr(getattr(DEFAULTS, group), name)
 
     def alter(system: Altered) -> Altered:
@@ -366,9 +392,9 @@ def _without_gate_rule(system: Altered) -> Altered:
 
 
 def _all_at_default(system: Altered) -> Altered:
-    """Set all changed settings to their defaults, if at least two are changed.
+    """Set all changed settings to their defaults, if at least two settings have been changed.
 
-    For a single changed setting, ``_at_default`` is this change.
+    If only one setting has been changed, ``_at_default`` provides the same change.
     """
     changed = [change for change in AT_DEFAULT if change.on(system) is not None]
     return reduce(lambda done, change: change.alter(done), changed, system) if len(changed) > 1 else system
@@ -384,7 +410,10 @@ def _separation_m(settings: Settings) -> float:
 
 
 def _half_as_fast(system: Altered) -> Altered:
-    """Let hands move on the same paths at half their speed, in a run of twice the duration."""
+    """Let hands move on the same paths at half their speed.
+
+    The run takes twice as long as before.
+    """
     scenario = system.scenario
     hands = tuple(map(_slower, scenario.hands))
     if hands == scenario.hands:
@@ -403,7 +432,10 @@ def _slower(hand: HandTrajectory) -> HandTrajectory:
 
 
 def _slower_move(move: HandMove) -> HandMove:
-    """Return the move with twice the time that it lasts or waits for its goal; a pause keeps its length."""
+    """Return the move at half its speed and with twice its time limits.
+
+    The length of a pause stays the same.
+    """
     slower = {"speed_mps": 0.5, "at_most_s": 2.0}
     if isinstance(move, FollowTcp | Wander):
         slower["duration_s"] = 2.0
@@ -421,6 +453,7 @@ AT_DEFAULT = (
     ),
     Change(Ingredient.SETTINGS, "no rule for the gate", _without_gate_rule),
 )
+# Of the helpful changes of an ingredient, the report shows the first one that keeps the claim.
 CHANGES: tuple[Change, ...] = (
     Change(Ingredient.SAFETY_FILTER, "left out", _unfiltered),
     Change(Ingredient.PREDICTOR, "the Kalman filter", _by_kalman_filter),
@@ -444,6 +477,9 @@ CHANGES: tuple[Change, ...] = (
 
 
 def changes_for(faulty: Collection[Ingredient]) -> tuple[Change, ...]:
-    """Return the changes to try: first those that make each ingredient of ``faulty`` sound, then CHANGES."""
+    """Return the changes to try.
+
+    The first changes remove the faults of the ingredients in ``faulty``. The changes in CHANGES follow.
+    """
     order = list(Ingredient)
     return tuple(Change(part, "sound", replace) for part in sorted(faulty, key=order.index)) + CHANGES

@@ -1,7 +1,7 @@
-"""Find out whether the shield, or the rest of the system, kept the moving arm from touching hands.
+"""Determine whether the shield or the rest of the system kept the moving arm from touching hands.
 
-Three runs answer this: the unchanged run, one without the shield, and one with the shield alone.
-The run with the shield alone has no avoider.
+The answer needs three runs: the unchanged run, a run without the shield, and a run with the shield but
+without an avoider.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from safety_harness.trace.trace import Trace
 
 @dataclass(frozen=True)
 class ShieldAttribution:
-    """The evaluations of the claim *no moving part touches a hand* in three runs, with the unchanged run.
+    """The evaluations of the claim *no moving part touches a hand* in three runs.
 
-    ``alone`` is None for a scenario with a user's own controller.
+    ``trace`` is the unchanged run. ``alone`` is None for a scenario with a user's own controller.
     """
 
     trace: Trace
@@ -30,7 +30,7 @@ class ShieldAttribution:
 
     @property
     def summary(self) -> str:
-        """The sentence on which part kept the moving arm from touching hands, if any part did."""
+        """A sentence on whether the shield or the avoider kept the moving arm from touching hands."""
         evaluations = (self.shielded, self.plain, self.shielded if self.alone is None else self.alone)
         untold = [
             evaluation for evaluation in evaluations if Outcome.from_evaluation(evaluation) is Outcome.UNTOLD
@@ -54,7 +54,7 @@ class ShieldAttribution:
 def attribute_shield(
     admitted: Admitted, replays: ReplaysInWorld = KINEMATIC_REPLAYS
 ) -> ShieldAttribution | None:
-    """Return the attribution of the ``admitted`` scenario; None if the scenario has no shield.
+    """Return the attribution of the ``admitted`` scenario, or None if the scenario has no shield.
 
     If a run fails, its exception is raised.
     """

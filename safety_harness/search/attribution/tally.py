@@ -1,4 +1,4 @@
-"""Count the violations for which each ingredient is blamed, and those that each change would have avoided."""
+"""Count how many violations each ingredient is blamed for, and how many violations each change avoids."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ LAST = (AttributionAnswer.NOTHING_HELPED.value, AttributionAnswer.NOT_ATTRIBUTED
 
 @dataclass(frozen=True, eq=False)
 class AttributionTally:
-    """The attributions of the violations of a search, a campaign or a report, each in one group."""
+    """The attributions of the violations of a search, a campaign or a report.
+
+    Each attribution is in one group.
+    """
 
     attributions: tuple[Attribution, ...]
 
@@ -27,13 +30,16 @@ class AttributionTally:
 
     @cached_property
     def groups(self) -> dict[str, int]:
-        """The number of violations in each group, largest first; groups without a cause come last."""
+        """The number of violations in each group.
+
+        The largest group comes first, and groups without a cause come last.
+        """
         counts = Counter(attribution.group for attribution in self.attributions)
         return dict(sorted(counts.items(), key=lambda item: (item[0] in LAST, -item[1], item[0])))
 
     @cached_property
     def would_help(self) -> dict[str, int]:
-        """The number of violations that each single change would have avoided, largest number first."""
+        """The number of violations that each single change would have avoided, in descending order."""
         counts: Counter[str] = Counter()
         for attribution in self.attributions:
             for replay in attribution.replays:
@@ -43,13 +49,16 @@ class AttributionTally:
 
     @property
     def summary(self) -> str:
-        """The groups in words, as in ``of 303: 171 unavoidable, 83 critical distance``."""
+        """A text that lists the groups, such as ``of 303: 171 unavoidable, 83 critical distance``."""
         return group_words(self.groups)
 
     words = summary  # deprecated: the old name, for one release
 
     def lines(self) -> Iterator[str]:
-        """Yield the lines of a terminal's table of groups and helpful changes; no line without violations."""
+        """Yield the lines of a table of groups and helpful changes, for a terminal.
+
+        If there are no violations, yield no line.
+        """
         if not self.attributions:
             return
         yield self.summary
@@ -59,7 +68,10 @@ class AttributionTally:
             yield from (f"{count:>7,}  {change}" for change, count in helping.items())
 
     def as_json(self) -> dict[str, object]:
-        """Return the counts and every attribution with its replays as JSON; margins are in SI."""
+        """Return the counts and all attributions as JSON.
+
+        Each attribution includes its replays. Margins are in SI units.
+        """
         return {
             "violations": len(self.attributions),
             "groups": self.groups,
@@ -69,12 +81,15 @@ class AttributionTally:
 
 
 def group_words(groups: Mapping[str, int]) -> str:
-    """Return the number of violations in all ``groups`` and in each of them, in words."""
+    """Return a text with the total number of violations, and the number in each of ``groups``."""
     return f"of {sum(groups.values())}: " + ", ".join(f"{count} {group}" for group, count in groups.items())
 
 
 def as_json_of(answer: Attribution) -> dict[str, object]:
-    """Return the attribution ``answer`` with its replays as JSON; margins are in SI."""
+    """Return the attribution ``answer``, which includes its replays, as JSON.
+
+    Margins are in SI units.
+    """
     return {
         "scenario": answer.scenario,
         "claim": answer.claim.sentence,

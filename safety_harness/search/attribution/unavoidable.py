@@ -1,10 +1,11 @@
-"""Prove that no arm could have kept a distance from hands; docs/explanation/whose-fault.md has the proof.
+"""Show that no arm could have kept a distance from the hands.
 
-A *free arm* knows the whole run beforehand, and a single limit of the system binds it. Its TCP starts where
-the run starts, and never exceeds the controller's speed limit. If that limit does not hold for the system,
-the joints' speed limits bind the TCP. If no free arm keeps a claim, the claim stays violated after every
-change of the system. Each of the three bounds is a necessary condition for keeping the claim. So a violation
-that meets all three conditions may still be unavoidable.
+The proof is in docs/explanation/whose-fault.md. A *free arm* is an imaginary arm that knows the whole run
+beforehand and obeys only one limit of the system. The TCP of a free arm starts where the run starts, and
+never exceeds the controller's speed limit. If the system does not enforce this speed limit, the TCP's speed
+follows from the speed limits of the joints. If no free arm keeps a claim, the claim stays violated after
+every change of the system. Each of the three bounds is a necessary condition for keeping the claim. Therefore
+a violation that meets all three conditions may still be unavoidable.
 """
 
 from __future__ import annotations
@@ -41,11 +42,13 @@ NOWHERE = np.zeros(3)  # a TCP for hands that do not depend on it
 
 
 def why_unavoidable(checked: Checked, prop: Property) -> str:
-    """Return why no free arm could have kept ``prop`` in this scenario; empty if no bound shows it.
+    """Return the reason why no free arm could have kept ``prop`` in this scenario.
+
+    The text is empty if no bound shows this.
 
     Args:
         checked: The admitted scenario with its arm.
-        prop: The claim's property; only ``HandDistance`` has bounds.
+        prop: The property of the claim. The bounds apply only to ``HandDistance``.
 
     """
     if not isinstance(prop, HandDistance) or not checked.scenario.hands:
@@ -68,9 +71,10 @@ def why_unavoidable(checked: Checked, prop: Property) -> str:
 class FreeArm:
     """The properties that all free arms of a scenario share, in the base frame.
 
-    ``start_m`` (3,) is the TCP at the start. ``centre_m`` (3,) is a point from which the TCP is never farther
-    than ``reach_m``. A ball of radius ``tip_m`` about the TCP lies within the arm. ``fastest_mps`` limits the
-    TCP. ``body`` holds the capsules that no joint moves; ``ends_m`` (n, 2, 3) are their end points.
+    ``start_m`` (3,) is the TCP at the start. The distance of the TCP from the point ``centre_m`` (3,) never
+    exceeds ``reach_m``. A ball with the radius ``tip_m`` and the TCP as its centre lies inside the arm.
+    ``fastest_mps`` limits the speed of the TCP. ``body`` holds the capsules that no joint moves. The end
+    points of their axes are ``ends_m`` (n, 2, 3).
     """
 
     start_m: Array3
@@ -121,11 +125,11 @@ class FreeArm:
 
 
 def _fastest_mps(checked: Checked, capsules: CapsuleSet) -> float:
-    """Return a limit of the TCP's speed [m/s]: the servo's limit, if the drives follow the servo.
+    """Return an upper limit of the TCP's speed [m/s].
 
-    Otherwise it is sum q'_j l_j, with the speed limit q'_j of joint j and the length l_j of the links behind
-    it. A user's controller may command any joint speed. Lagging drives or a stuck joint may deviate from the
-    servo's command.
+    It is the servo's limit if the drives follow the servo. Otherwise it is the sum of q'_j l_j, where q'_j is
+    the speed limit of joint j and l_j is the length of the links behind this joint. A user's controller may
+    command any joint speed. Lagging drives or a stuck joint may deviate from the servo's command.
     """
     scenario = checked.scenario
     stuck = any(isinstance(fault, JointStuck) for fault in scenario.faults)
@@ -150,11 +154,11 @@ def _immovable(
     transforms: NDArray[np.float64],  # (n + 2, 4, 4)
     axis_in_link: Array3,
 ) -> tuple[CapsuleSet, NDArray[np.float64]]:
-    """Return the capsules that no joint moves, and their end points (n, 2, 3) in the base frame.
+    """Return the capsules that no joint moves, and their axes' end points (n, 2, 3) in the base frame.
 
-    These are the capsules of the base, and balls about the first joint's axis within the first link. A ball
-    at distance r from the axis always contains a ball about its foot on the axis, whose radius is smaller by
-    r.
+    These are the capsules of the base and, within the first link, balls about points on the first joint's
+    axis. A ball whose centre has the distance r from the axis always contains a smaller ball. The centre of
+    the smaller ball is the nearest point of the axis, and its radius is the radius of the first ball minus r.
     """
     parts: list[tuple[int, Array3, Array3, float]] = []
     axis = product(transforms[1, :3, :3], axis_in_link)
@@ -184,10 +188,10 @@ def _immovable(
 class HandPath:
     """The first part of a hand's path, which does not depend on the arm.
 
-    ``time_s`` (n,), ``hand_m`` and ``elbow_m`` (n, 3) are in the base frame. ``then`` is the move with which
-    the hand first heads for the TCP; None if it never does. This move begins at most one control period
-    before the last time. ``at_rest`` tells whether the hand then rests, and ``steady_m`` (3,) is its place
-    without tremor.
+    ``time_s`` (n,), ``hand_m`` and ``elbow_m`` (n, 3) are in the base frame. ``then`` is the first move in
+    which the hand heads for the TCP, or None if there is no such move. This move begins at most one control
+    period before the end of the path. ``at_rest`` states whether the hand rests at the end of the path.
+    ``steady_m`` (3,) is the hand's position at this time, without tremor.
     """
 
     time_s: NDArray[np.float64]
@@ -199,7 +203,11 @@ class HandPath:
 
     @classmethod
     def from_scenario(cls, scenario: Scenario, number: int) -> HandPath:
-        """Return hand ``number`` of ``scenario`` until its own or its leader's first move towards the TCP."""
+        """Return the path of hand ``number`` in ``scenario``.
+
+        The path ends before the first move towards the TCP. This may be a move of the hand or of the hand's
+        leader.
+        """
         leader, settled = scenario.leader(scenario.hands[number]), scenario
         moves = leader.moves if isinstance(leader, MovingHand) else ()
         seeks = next((k for k, move in enumerate(moves) if isinstance(move, SeeksTcp)), None)
@@ -239,7 +247,7 @@ def _follow(
 ) -> int:
     """Write hand ``number`` and its elbow at each tick to ``ways_m``, and return the number of ticks.
 
-    The path ends when the moves of hand ``ends`` are over, or with the run if ``ends`` is -1.
+    The path ends when the moves of hand ``ends`` are over. If ``ends`` is -1, the path ends with the run.
     """
     for tick in range(ways_m.shape[0]):
         for i in range(3):
@@ -252,10 +260,14 @@ def _follow(
 
 
 def _at_what_cannot_move(free: FreeArm, path: HandPath, minimum_m: float, radii: Hand) -> str:
-    """Return words on the first time when the hand is too near to a part that no joint moves, or ""."""
+    """Describe the first time at which the hand is too near to a part that no joint moves.
+
+    The text is empty if there is no such time.
+    """
     sizes_m = radii.radius_m, radii.forearm_radius_m
     thick_m = max(sizes_m) + float(free.body.radius_m.max())
     thick_m += float(np.linalg.norm(free.ends_m - free.centre_m, axis=2).max())
+    # A ball about hand and forearm shows cheaply at which ticks the exact distance is necessary.
     middle_m = (path.hand_m + path.elbow_m) / 2.0
     half_m = np.linalg.norm(path.hand_m - path.elbow_m, axis=1) / 2.0
     close = np.linalg.norm(middle_m - free.centre_m, axis=1) - half_m - thick_m < minimum_m
@@ -268,9 +280,10 @@ def _at_what_cannot_move(free: FreeArm, path: HandPath, minimum_m: float, radii:
 
 
 def _before_it_can_leave(free: FreeArm, path: HandPath, near_m: float) -> str:
-    """Return words on the first time when every place that the TCP can reach is too near the hand, or "".
+    """Describe the first time at which every point that the TCP can reach is too near the hand.
 
-    ``near_m`` is the least allowed distance from the hand's centre.
+    The text is empty if there is no such time. ``near_m`` is the least allowed distance from the hand's
+    centre.
     """
     farthest_m = free.farthest_m(path.hand_m, path.time_s)
     late = np.flatnonzero(farthest_m < near_m + free.tip_m)
@@ -281,7 +294,10 @@ def _before_it_can_leave(free: FreeArm, path: HandPath, near_m: float) -> str:
 
 
 def _pursued(free: FreeArm, path: HandPath, near_m: float, scenario: Scenario, hand: HandTrajectory) -> str:
-    """Return words on how a hand that is faster than the TCP catches it, or "" if no bound shows it."""
+    """Describe how a hand that is faster than the TCP catches the TCP.
+
+    The text is empty if no bound shows this.
+    """
     move = path.then
     if move is None or not path.at_rest or not isinstance(hand, MovingHand):
         return ""
@@ -315,10 +331,10 @@ def _pursued(free: FreeArm, path: HandPath, near_m: float, scenario: Scenario, h
 
 @dataclass(frozen=True)
 class Chase:
-    """A hand that heads for a TCP from rest, with the motion that ``pursue`` computes.
+    """A hand that starts from rest and heads for a TCP, with the motion that ``pursue`` computes.
 
     ``speed_mps`` and ``acceleration_mps2`` limit the hand, and ``fleeing_mps`` limits the TCP's speed. The
-    hand stops at the distance ``until_m``.
+    hand stops at the distance ``until_m`` from the TCP.
     """
 
     speed_mps: float
@@ -328,18 +344,24 @@ class Chase:
     period_s: float
 
     def caught(self, nearest_m: float, farthest_m: float) -> tuple[float, float, float] | None:
-        """Return upper bounds: the heading time [s], the time after it [s], and the distance then [m].
+        """Return three upper bounds for the pursuit.
+
+        The first bound is for the time [s] during which the hand heads for the TCP. The second bound is for
+        the further time [s], and the third is for the distance [m] after that time.
 
         Args:
-            nearest_m: The least possible distance [m] of the TCP when the hand begins to head for it.
-            farthest_m: The greatest possible distance [m] of the TCP at that time.
+            nearest_m: The least possible distance [m] between hand and TCP when the hand begins to head for
+                the TCP.
+            farthest_m: The greatest possible distance [m] between hand and TCP at that time.
 
         Returns:
-            The three bounds; None if there is no bound.
+            The three bounds, or None if there is no bound.
 
         """
         s, a, v, dt = self.speed_mps, self.acceleration_mps2, self.fleeing_mps, self.period_s
+        # D_b of docs/explanation/whose-fault.md, increased by the motion of the hand and the TCP in a tick.
         ending_m = self.until_m + s * s / (2.0 * a) + s * dt + (s + v) * dt
+        # The hand heads for the TCP's place at the last tick, so its direction is off by at most this angle.
         aside_rad = 2.0 * v * dt / ending_m
         closing_mps = s * cos(aside_rad) - v
         if closing_mps <= 0.0 or a <= 2.0 * s * v / ending_m:
@@ -348,6 +370,8 @@ class Chase:
         if turned_s is None:
             return None
         heading_s = turned_s + max(farthest_m + v * turned_s - ending_m, 0.0) / closing_mps + dt
+        # First bound: after D_b, the hand leaves the straight path by at most a q^2 / 2.  Any time q is
+        # valid.
         flying_s = np.linspace(0.0, s / a, 101)
         left_m = (
             np.abs(ending_m - s * flying_s) + (v + s * aside_rad) * flying_s + a * flying_s * flying_s / 2.0
@@ -358,9 +382,13 @@ class Chase:
         return flown if flown[2] <= braked_m else (heading_s + braking_s, 0.0, braked_m)
 
     def _braked(self, ending_m: float) -> tuple[float, float]:
-        """Return upper bounds of the time [s] and the distance [m] for the hand's braking before the TCP."""
+        """Return upper bounds for the hand's braking in front of the TCP.
+
+        The two bounds are for the time [s] and the distance [m].
+        """
         a, v, dt = self.acceleration_mps2, self.fleeing_mps, self.period_s
         distance_m, took_s, turned, near_m = ending_m, 0.0, 0.0, ending_m
+        # Second bound: in small steps of the distance, until one of the two conditions for closing in fails.
         step_m = (ending_m - self.until_m) / STEPS
         while distance_m - step_m > self.until_m:
             distance_m -= step_m
@@ -378,17 +406,19 @@ class Chase:
         return took_s, near_m
 
     def _turned_s(self, nearest_m: float, ending_m: float) -> float | None:
-        """Return the longest time [s] until the hand moves at full speed at the TCP; None for no bound.
+        """Return the longest time [s] until the hand moves at full speed towards the TCP.
 
-        It is the least fixed point of the inequalities in docs/explanation/whose-fault.md. It holds while the
-        TCP is at least ``ending_m`` away.
+        The result is None if there is no bound. The time is the least fixed point of the inequalities in
+        docs/explanation/whose-fault.md. The bound is valid while the TCP is at least ``ending_m`` away.
         """
         s, a, v = self.speed_mps, self.acceleration_mps2, self.fleeing_mps
         lateral_mps, least_m = 0.0, nearest_m
+        # Iterate from the smallest lateral speed upwards, so that the first fixed point is the least one.
         for _ in range(100):
             if least_m < ending_m:
                 return None
             rate_mps2 = a - s * (v + lateral_mps) / least_m
+            # A slower turn gives no useful bound; a choice.
             if rate_mps2 <= 0.1 * a:
                 return None
             turned_s = s / rate_mps2 + self.period_s

@@ -1,1 +1,4 @@
-"""Run a user's avoider in its own process, which may hang, end or fill its memory without harm to ours."""
+"""Run a user's avoider in its own process.
+
+The harness then survives if the avoider hangs, exits or fills its memory.
+"""

@@ -1,7 +1,7 @@
 """Serve a user's avoiders in the process of their file.
 
 This process and the harness call an avoider by the same functions, so that answers and faults are the same in
-both. This module must start quickly, so it imports nothing that waits for a compiler.
+both. This module must start quickly, so it imports only modules that need no compiler.
 """
 
 from __future__ import annotations
@@ -48,7 +48,11 @@ class _Avoiders(ServedKind):
         )
 
     def answers(self, message: Ask) -> Iterator[Answered]:
-        """Yield the answers of a joint call if the message wants one and it works, otherwise one by one."""
+        """Yield an answer to each question of a message.
+
+        If the message asks for one batched call, the method tries this call first. If the call fails, the
+        method asks one question after another.
+        """
         avoider, file = self.made[message.number]
         questions, joint = message.unpacked_questions, []
         if message.together:
@@ -62,7 +66,7 @@ class _Avoiders(ServedKind):
 
 
 def _avoider(path: Path, source: bytes, wanted: dict[str, Any]) -> Avoider:
-    """Return the avoider of a Python file, by its name, or of an ONNX file."""
+    """Return the avoider in an ONNX file, or the avoider with the wanted name in a Python file."""
     if not wanted["onnx"]:
         return avoider_in(path, source, wanted["name"])
     from safety_harness.cell.avoidance.onnx_model import OnnxAvoider  # a Python file does not need it
@@ -72,7 +76,10 @@ def _avoider(path: Path, source: bytes, wanted: dict[str, Any]) -> Avoider:
 
 
 def _answer(avoider: Avoider, question: Question, file: str) -> Answer:
-    """Return the avoider's answer; turn any exception of the avoider into a fault."""
+    """Return the avoider's answer.
+
+    Any exception of the avoider becomes a fault.
+    """
     try:
         return ask(avoider, question._replace(limit_s=np.inf))  # the other process applies the limit
     except BaseException as error:  # SystemExit, or the user's own, must not end this process

@@ -1,9 +1,9 @@
-"""Call an avoider of a user's file in a process of its own, so that the harness survives its failures.
+"""Run an avoider of a user's file in its own process, so that the harness survives the avoider's failures.
 
-An avoider with a memory keeps this memory as long as its process lives. If it does not answer within the wall
-limit, the harness kills its process with all its forks, and the run ends. If the process ends by itself, the
-harness records a fault of the decision. The next question then goes to a new process, which makes the avoider
-anew from the same text.
+An avoider with a memory keeps this memory as long as its process lives. If the avoider does not answer within
+the wall-clock limit, the harness kills its process with all its forks, and the run ends. If the process ends
+by itself, the harness records a fault of the decision. The next question then goes to a new process, which
+creates the avoider again from the same text.
 """
 
 from __future__ import annotations
@@ -61,6 +61,7 @@ from safety_harness.seams.isolation.messages import Make
 from safety_harness.seams.isolation.process import Process
 from safety_harness.seams.isolation.python_file import source_of
 
+# A choice: a process that does not read its pipe for so long counts as gone.
 SEND_S = 10.0
 KEPT = 2  # processes that stay ready while they serve no avoider
 LOGGER = logging.getLogger("safety_harness.avoider")
@@ -74,7 +75,10 @@ class IsolatedAvoider(OutOfProcessAvoider):
     """An avoider that runs in the process of its file."""
 
     def __init__(self, connection: Connection, make: Callable[[int], Make], within_s: float) -> None:
-        """Make the avoider there; ``RefusedError`` if refused, ``GoneError`` if the process dies first."""
+        """Create the avoider in its process.
+
+        Raise ``RefusedError`` if the process refuses the avoider, or ``GoneError`` if the process dies first.
+        """
         self._number = next(connection.numbers)
         with connection.lock:
             made = connection.introduce(make(self._number), Made, within_s)
@@ -99,7 +103,10 @@ class IsolatedAvoider(OutOfProcessAvoider):
         seed: int,
         seen: Seen | None = None,
     ) -> Proposal:
-        """Return the avoider's proposal; raise ``AvoiderError`` with the fault's text if there is none."""
+        """Return the avoider's proposal.
+
+        Raise ``AvoiderError`` with the text of the fault if there is no proposal.
+        """
         question = Question(hand_position_in_base_m, tcp_position_in_base_m, seed, WALL_LIMIT_S, seen)
         answer = self.answers([question], together=False)[0]
         if answer.fault:
@@ -109,7 +116,7 @@ class IsolatedAvoider(OutOfProcessAvoider):
     def answers(self, questions: Sequence[Question], *, together: bool) -> list[Answer]:
         """Return an answer to each question, as ``OutOfProcessAvoider`` describes.
 
-        If a joint call brings no answer, the method sends the remaining questions one by one.
+        If a batched call does not return all answers, the method sends the remaining questions one by one.
         """
         received: list[Answer] = []
         with self._connection.lock:
@@ -140,7 +147,10 @@ class IsolatedAvoider(OutOfProcessAvoider):
         return received
 
     def _answered(self, questions: list[Question], *, together: bool) -> Iterator[Answer]:
-        """Yield the unchecked answers as they arrive; raise ``GoneError`` if one does not arrive."""
+        """Yield the unchecked answers as they arrive.
+
+        Raise ``GoneError`` if an answer does not arrive.
+        """
         self._connection.say(Ask.from_questions(self._number, questions, together), SEND_S)
         for k, question in enumerate(questions):
             message = self._connection.hear(limit_of(questions) if together else question.limit_s)
@@ -149,9 +159,9 @@ class IsolatedAvoider(OutOfProcessAvoider):
             yield message.answer
 
     def _be_there(self) -> None:
-        """Make the avoider anew if necessary, and ask it its first question again.
+        """Create the avoider again if its process has ended, and then repeat its first question.
 
-        So the start of a process takes no time from a decision.
+        So the start of a process is not part of a decision's time.
         """
         if self._connection.alive and self._generation == self._connection.generation:
             return
@@ -197,9 +207,9 @@ _connections = [lru_cache(KEPT)(_connected)]
 
 @contextmanager
 def processes_apart() -> Iterator[None]:
-    """Give the avoiders that are made in this context new processes, without any earlier avoider's memory.
+    """Start new processes for the avoiders that are created in this context.
 
-    Their processes run silently.
+    The new processes have no memory of earlier questions, and run silently.
     """
     _connections.append(lru_cache(KEPT)(partial(_connected, silent=True)))
     try:
@@ -213,8 +223,8 @@ def isolated_avoider(path: Path, name: str, place: Place) -> IsolatedAvoider:
 
     Args:
         path: The file.
-        name: The avoider's name in it.
-        place: The place of an error.
+        name: The avoider's name in the file.
+        place: The place that an error states.
 
     Raises:
         InadmissibleError: There is no such avoider, or the process dies before it replies.
@@ -227,12 +237,16 @@ def isolated_avoider(path: Path, name: str, place: Place) -> IsolatedAvoider:
 
 
 def isolated_onnx(path: Path, settings: Settings, layout: str = "") -> IsolatedAvoider:
-    """Return the avoider of an ONNX file, which may loop or fill the memory.
+    """Return the avoider of an ONNX file, which runs in another process.
+
+    The file may loop or fill the memory.
 
     Args:
         path: The file.
-        settings: The settings; their desired TCP and nominal hand are the question of a first try.
-        layout: The quantities of its inputs and outputs whose names are not ours (``onnx_names``).
+        settings: The settings. Their desired TCP and their nominal hand are the data of a first question to
+            the avoider.
+        layout: The layout, which states the quantities in each input or output that does not have a name of
+            the harness (``onnx_names``).
 
     Raises:
         ModelError: The file cannot be used.

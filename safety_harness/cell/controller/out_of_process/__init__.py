@@ -1,1 +1,1 @@
-"""Run a controller in its own process: a Python file, an ONNX policy, or a program with our protocol."""
+"""Run a controller in its own process: a Python file, an ONNX policy, or a program that uses the protocol."""

@@ -1,6 +1,6 @@
 """Serve a user's controllers in the process of their file, one controller for each lane of episodes.
 
-This module must start quickly, so its imports do not wait for a compiler.
+This module must start quickly, so it imports only modules that need no compiler.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class _Controllers(ServedKind):
     image: Image | None = None
 
     def make(self, message: Make, path: Path, wanted: dict[str, Any]) -> MadeController:
-        """Load the file's first controller and return its description."""
+        """Load the first controller of the file, and return its description."""
         controller, self.another = _controller(path, message.source, wanted["name"], wanted["onnx"])
         self.made, self.file = {0: controller}, str(path)
         sees, reports = sees_of(controller), reports_of(controller)
@@ -66,11 +66,14 @@ class _Controllers(ServedKind):
         return MadeController(PROTOCOL, controller.name, sees, reports, many, together, acts)
 
     def answers(self, message: Reset | ActOnRows) -> Iterator[Ready | SaidRow | SaidRows | SaidPrediction]:
-        """Yield the answer to ``message``, a single one."""
+        """Yield the single answer to ``message``."""
         yield self._reset(message) if isinstance(message, Reset) else self._act(message)
 
     def _reset(self, message: Reset) -> Ready:
-        """Begin an episode in a lane, with a new controller if the lane is new."""
+        """Begin an episode in a lane.
+
+        If the lane is new, the method creates a new controller.
+        """
         self.image = None
         while len(self.made) <= message.lane:
             assert self.another is not None
@@ -100,7 +103,10 @@ class _Controllers(ServedKind):
         return SaidRows(message.tick, [column[own].tobytes() for column in answers.columns], reasons)
 
     def _alone(self, controller: UserController, message: ActOnRows) -> Answer:
-        """Return the answer of a single controller, which may see an image."""
+        """Return the answer of a single controller.
+
+        Only a single controller may see an image.
+        """
         seen = unpacked(message.seen)
         if message.image is not None:
             time_s, new, width, sent = message.image
@@ -111,7 +117,10 @@ class _Controllers(ServedKind):
 
 
 def _controller(path: Path, source: bytes, name: str, onnx: bool) -> tuple[UserController, Another | None]:
-    """Return a file's controller, and a function that makes further ones, or None if that is impossible."""
+    """Return a file's controller, and a function that makes another one.
+
+    The function is None if the file cannot make another controller.
+    """
     if not onnx:
         controller = controller_in(path, source, name, Place(field="controller"))
         kind = type(controller)

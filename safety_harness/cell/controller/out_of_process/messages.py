@@ -1,8 +1,8 @@
-"""Define the messages between the harness and a controller in another process, which take turns.
+"""Define the messages between the harness and a controller in another process.
 
-docs/reference/controller-protocol.md describes the protocol. A program gets JSON, with one object in each
-line. Our own process for a Python file or an ONNX policy gets frames of MessagePack. In these, views and
-answers are rows of numbers.
+The page docs/reference/controller-protocol.md describes the protocol. A program gets JSON, with one object in
+each line. The harness's own process for a Python file or an ONNX policy gets frames of MessagePack. In these
+frames, views and answers are rows of numbers.
 """
 
 from __future__ import annotations
@@ -52,7 +52,10 @@ class Hello(ProcessMessage, tag="hello"):
 
 
 class Reset(ProcessMessage, tag="reset"):
-    """The start of an episode; ``seed`` is a text, since many JSON readers keep only 53 bits of a number."""
+    """The start of an episode.
+
+    ``seed`` is a text, because many JSON readers keep only 53 bits of a number.
+    """
 
     call: ClassVar[str] = "reset"
     wants: ClassVar[str] = 'after a reset it has to say "ready"'
@@ -73,9 +76,9 @@ class Act(ProcessMessage, tag="act"):
 
 
 class ActOnRows(ProcessMessage, tag="rows"):
-    """The views of the controllers of ``lanes`` at a tick, one row each, for our own process.
+    """The views of the controllers in ``lanes`` at a tick, one row each, for the harness's own process.
 
-    ``together`` asks for answers of all lanes at once; without it, there is only one lane.
+    If ``together`` is True, the process answers for all lanes at once. Otherwise there is only one lane.
     """
 
     call: ClassVar[str] = "act"
@@ -88,7 +91,7 @@ class ActOnRows(ProcessMessage, tag="rows"):
 
 
 class Ready(ProcessMessage, tag="ready", forbid_unknown_fields=True):
-    """The controller's answer that the episode may begin."""
+    """The controller's message that it is ready to begin the episode."""
 
 
 class Welcome(ProcessMessage, tag="hello", forbid_unknown_fields=True):
@@ -101,10 +104,11 @@ class Welcome(ProcessMessage, tag="hello", forbid_unknown_fields=True):
 
 
 class MadeController(Welcome, tag="made", forbid_unknown_fields=True):
-    """The description of a controller by our own process.
+    """The description of a controller that the harness's own process sends.
 
-    ``many`` states whether the process can make a controller for each of many lanes. ``together`` states
-    whether one call of the file answers for all lanes. ``acts_per_answer`` is the controller's.
+    ``many`` states whether the process can make a controller for each of several lanes. ``together`` states
+    whether one call of the file answers for all lanes. ``acts_per_answer`` has the same meaning as in the
+    controller's contract.
     """
 
     many: bool = False
@@ -113,7 +117,10 @@ class MadeController(Welcome, tag="made", forbid_unknown_fields=True):
 
 
 class SaidDecision(Struct, forbid_unknown_fields=True):
-    """A reported decision, with positions (3,) [m], None if absent, and words of two vocabularies."""
+    """A decision that a program reports.
+
+    Positions are (3,) [m], or None if they are absent. ``outcome`` and ``trigger`` are words of the protocol.
+    """
 
     hand_position_in_base_m: Numbers
     proposed_position_in_base_m: Numbers | None = None
@@ -149,7 +156,10 @@ class SaidStop(ProcessMessage, tag="stop", forbid_unknown_fields=True):
 
 
 class SaidRow(ProcessMessage, tag="row", forbid_unknown_fields=True):
-    """The answer of a single lane, as in ``LaneAnswers``; ``wanted`` is a twist or joint velocities."""
+    """The answer of a single lane, with the fields of ``LaneAnswers``.
+
+    ``wanted`` is a twist or joint velocities.
+    """
 
     tick: int
     wanted: bytes
@@ -160,9 +170,10 @@ class SaidRow(ProcessMessage, tag="row", forbid_unknown_fields=True):
 
 
 class SaidRows(ProcessMessage, tag="rows", forbid_unknown_fields=True):
-    """The answers of all lanes at a tick: the columns of ``LaneAnswers``, with a row for each lane.
+    """The answers of all lanes at a tick.
 
-    ``why`` states the reason for each lane that cannot go on.
+    ``columns`` are the columns of ``LaneAnswers``, with one row for each lane. ``why`` states the reason of
+    failure for each lane that cannot continue.
     """
 
     tick: int
@@ -171,7 +182,7 @@ class SaidRows(ProcessMessage, tag="rows", forbid_unknown_fields=True):
 
 
 class SaidSet(Struct, forbid_unknown_fields=True):
-    """A predicted hand and its set, as in ``HandSet``."""
+    """A predicted hand and its set, with the fields of ``HandSet``."""
 
     position_in_base_m: Numbers
     number: int
@@ -194,7 +205,10 @@ to_the_process = decoder_of(Make | Reset | ActOnRows)
 
 
 def fields_of(seen: Seen, sees: tuple[str, ...]) -> dict[str, Any]:
-    """Return the view for a program, with the pixels of an image only if the image is new."""
+    """Return the view for a program.
+
+    The view contains the pixels of an image only if the image is new.
+    """
     fields: dict[str, Any] = {"time_s": seen.time_s, "period_s": seen.period_s}
     for sight in FILTER_SIGHTS:
         if sight.word in sees:
@@ -207,7 +221,10 @@ def fields_of(seen: Seen, sees: tuple[str, ...]) -> dict[str, Any]:
 
 
 def seen_at(tick: int, seen: Seen, lane: int) -> ActOnRows:
-    """Return the view of a tick for our own process; ``ControllerError`` unless the harness made it."""
+    """Return the view of a tick for the harness's own process.
+
+    Raise ``ControllerError`` if the harness did not make the view.
+    """
     image = seen.__dict__.get("image")
     sent = None
     if image is not None:
@@ -217,7 +234,10 @@ def seen_at(tick: int, seen: Seen, lane: int) -> ActOnRows:
 
 
 def prediction_at(tick: int, predicted: Predicted) -> SaidPrediction:
-    """Return the message of a predictor's answer; a value that is no number raises ValueError."""
+    """Return the message with a predictor's answer.
+
+    Raise ``ValueError`` if a value is not a number.
+    """
     return SaidPrediction(
         tick,
         [
@@ -234,7 +254,7 @@ def prediction_at(tick: int, predicted: Predicted) -> SaidPrediction:
 
 
 def _listed(value: Any) -> Numbers:
-    """Return the numbers of an array (n,)."""
+    """Return the numbers of an array (n,) as a list."""
     return [float(number) for number in value]
 
 
@@ -250,7 +270,10 @@ def _predicted(message: SaidPrediction) -> Predicted:
 
 
 def action_in(row: SaidRow | SaidPrediction) -> Answer:
-    """Return the answer of a single lane; raise ``ValueError`` for an invalid row."""
+    """Return the answer of a single lane.
+
+    Raise ``ValueError`` if the row is invalid.
+    """
     if isinstance(row, SaidPrediction):
         return _predicted(row)
     report, wanted = None, np.frombuffer(row.wanted)
@@ -265,7 +288,10 @@ def action_in(row: SaidRow | SaidPrediction) -> Answer:
 
 
 def action_of(message: SaidMove | SaidStop | SaidPrediction) -> Answer:
-    """Return the answer in a program's message; raise ``ValueError`` for an unknown word."""
+    """Return the answer in a program's message.
+
+    Raise ``ValueError`` if the message contains an unknown word.
+    """
     if isinstance(message, SaidPrediction):
         return _predicted(message)
     report = None if message.report is None else _report_of(message.report)
@@ -280,18 +306,18 @@ def action_of(message: SaidMove | SaidStop | SaidPrediction) -> Answer:
 
 
 def _floats(value: Numbers | None) -> Any:
-    """Return ``value`` as an array, or None for None."""
+    """Return ``value`` as an array, or None if ``value`` is None."""
     return None if value is None else np.array(value, dtype=np.float64)
 
 
 def _report_of(report: SaidReport) -> Report:
-    """Return the report in a message as the contract's ``Report``."""
+    """Return the report in a message as a ``Report`` of the contract."""
     mode = None if report.mode is None else _meant(Mode, report.mode, "mode")
     return Report(mode=mode, decision=None if report.decision is None else _decision_of(report.decision))
 
 
 def _decision_of(decision: SaidDecision) -> Decision:
-    """Return the decision in a message as the contract's ``Decision``."""
+    """Return the decision in a message as a ``Decision`` of the contract."""
     fields = {
         name: _floats(value) if isinstance(value, list) else value for name, value in asdict(decision).items()
     }
@@ -307,7 +333,10 @@ def word_of(value: IntEnum) -> str:
 
 
 def _meant(kind: type[AnEnum], text: str, name: str) -> AnEnum:
-    """Return the value of ``kind`` with the word ``text``; raise ``ValueError`` for another word."""
+    """Return the value of ``kind`` for the word ``text``.
+
+    Raise ``ValueError`` if the word is unknown.
+    """
     for value in kind:
         if word_of(value) == text:
             return value

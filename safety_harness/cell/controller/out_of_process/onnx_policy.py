@@ -2,18 +2,15 @@
 
 Inputs and outputs have the following names, or other names that a layout explains (``onnx_names``).
 
-Inputs
-    Any of the arrays of ``arrays.observed``, by their names, with a first axis of 1: the policy sees these.
-    ``image``: (1, height, width, 3), the pixels of the last image.
-    NAME, with an output ``next_NAME``: the policy's memory from tick to tick; zeros at first.
-Outputs
-    tcp_velocity_mps (1, 3), tcp_angular_velocity_radps (1, 3), joint_velocity_radps (1, n): as in ``Move``.
-    Or a chunk of k successive actions: (1, k, 3), (1, k, n).
-    stop (1,), optional: a number above one half means a protective stop, in place of all these actions.
-Metadata
-    name, optional: its name in place of the file's; ticks: the duration of each action, 1 by default;
-    horizon, for chunks alone: the number of a chunk's actions that are carried out before the next answer;
-    training: its training data, which only evidence reports read.
+Inputs Any arrays that ``arrays.observed`` returns, with the same names and with a first axis of size 1.
+    ``image``: (1, height, width, 3), the pixels of the last image. NAME, if there is an output ``next_NAME``:
+    the policy's memory. The memory is zero at first, and then equals this output at the previous tick.
+    Outputs tcp_velocity_mps (1, 3), tcp_angular_velocity_radps (1, 3), joint_velocity_radps (1, n): as in
+    ``Move``. These outputs may also contain chunks of k successive actions, with the shapes (1, k, 3) and (1,
+    k, n). stop (1,), optional: a number greater than one half means a protective stop in place of all these
+    actions. Metadata name, optional: the policy's name in place of the file's name. ticks, optional: the
+    duration of each action in ticks, 1 by default. horizon, only for chunks: the number of actions of a chunk
+    that run before the next answer. training, optional: the training data, which only evidence reports read.
 """
 
 from __future__ import annotations
@@ -38,6 +35,7 @@ from safety_harness.seams.rows import seen_dtype
 
 MOVES = ("tcp_velocity_mps", "tcp_angular_velocity_radps", "joint_velocity_radps")
 STOP, NEXT, NAME, TICKS, HORIZON = "stop", "next_", "name", "ticks", "horizon"
+# A choice: the largest number of ticks that a file may declare.
 MOST_TICKS = 1000
 TYPES = (*FLOATS, "int8", "int64", "uint8", "bool")
 GIVEN = {name: NamedQuantity((ANY if name == MOVES[2] else 3,), TYPES, in_chunks=True) for name in MOVES}
@@ -45,14 +43,18 @@ GIVEN |= {STOP: NamedQuantity((), TYPES)}
 
 
 class OnnxPolicy:
-    """A policy in an ONNX file, which runs on one thread of the CPU in a fixed order of operations."""
+    """A policy in an ONNX file.
+
+    The file runs on one thread of the CPU in a fixed order of operations.
+    """
 
     reports = ()
 
     def __init__(self, path: Path, data: bytes, layout: str = "") -> None:
-        """Load and check the file; raise ``ModelError`` unless it is a policy.
+        """Load and check the file.
 
-        ``layout`` states the quantities of inputs and outputs whose names are not ours (``onnx_names``).
+        Raise ``ModelError`` if the file is not a policy. If an input or output does not have a name of the
+        harness, ``layout`` states its quantities (``onnx_names``).
         """
         self._file = file = OnnxFile(path, data, layout)
         own, session = file.metadata, file.session
@@ -77,11 +79,11 @@ class OnnxPolicy:
 
     @property
     def acts_per_answer(self) -> int:
-        """The number of calls of ``act`` for which an answer of the file lasts."""
+        """The number of successive calls of ``act`` that use the same answer of the file."""
         return self._hold * (self._horizon or 1)
 
     def reset(self, *, settings: Settings, arm: DrivenArm, start: Start, seed: int) -> None:
-        """Begin an episode: set the policy's memory to zeros."""
+        """Begin an episode, and set the policy's memory to zeros."""
         self._joints, self._actions = len(arm.joint_names), []
         self._state = self._states
 
@@ -90,13 +92,16 @@ class OnnxPolicy:
         return copy(self)
 
     def act(self, seen: Seen) -> Action:
-        """Return the policy's action; run the file only when the actions of its last answer are over."""
+        """Return the policy's action.
+
+        The method runs the file only when the actions of its last answer are used up.
+        """
         if not self._actions:
             self._actions = [action for action in self._answer(seen) for _ in range(self._hold)]
         return self._actions.pop(0)
 
     def _answer(self, seen: Seen) -> list[Action]:
-        """Run the file on ``seen``, keep the policy's next memory, and return the actions to carry out."""
+        """Run the file on ``seen``, store the policy's next memory, and return the actions to execute."""
         widths = dict.fromkeys(MOVES, 3) | {MOVES[2]: self._joints, STOP: 1}
         outputs = self._file.answers(self._observed(seen), widths)
         self._state = {name: outputs[NEXT + name] for name in self._states}
@@ -110,7 +115,10 @@ class OnnxPolicy:
         return [Move(**{name: rows[k] for name, rows in moves.items()}) for k in range(count)]
 
     def _rows(self, name: str, value: NDArray[Any], width: int) -> NDArray[np.float64]:
-        """Return the actions (k, width) of an output; raise ``ControllerError`` for another shape."""
+        """Return the actions in an output, shape (k, width).
+
+        Raise ``ControllerError`` if the output has another shape.
+        """
         least = self._horizon or 0
         axes = (1, width) if not least else (1, max(least, *value.shape[1:2]), width)
         if value.shape != axes:
@@ -121,7 +129,7 @@ class OnnxPolicy:
         return np.asarray(value[0] if least else value, np.float64)
 
     def _observed(self, seen: Seen) -> Arrays:
-        """Return the file's inputs, made of the quantities in ``seen``."""
+        """Return the inputs of the file, which consist of quantities in ``seen`` and the policy's memory."""
         own = seen.__dict__
         arrays = columns_of(own["_row"][None], seen.period_s, own["_makers"])
         if IMAGE in self.sees:
@@ -130,7 +138,10 @@ class OnnxPolicy:
 
 
 def _known() -> Iterator[tuple[str, tuple[str, NamedQuantity]]]:
-    """Yield each visible quantity's name, word and axes; axes of hands and joints are open."""
+    """Yield each array's name, with the word of the visible quantity and with the array's axes.
+
+    The axes of hands and joints have no fixed size.
+    """
     yield IMAGE, (IMAGE, NamedQuantity((ANY, ANY, 3), TYPES))
     for sight_word in (sight.word for sight in SIGHTS if sight.word != IMAGE):
         few, more = (observed(np.zeros(1, seen_dtype(n, n)), (sight_word,)) for n in (1, 2))
@@ -143,14 +154,20 @@ _KNOWN = dict(_known())
 
 
 def _zeros(path: Path, tensor: Any) -> NDArray[Any]:
-    """Return zeros for a memory's first value; ``ModelError`` if the file leaves one of its sizes open."""
+    """Return zeros as the first value of a memory.
+
+    Raise ``ModelError`` if the file does not fix all sizes of the memory.
+    """
     if not all(isinstance(size, int) and size > 0 for size in tensor.shape):
         refuse(path, tensor.name, "a state of a fixed shape", str(tensor.shape))
     return np.zeros(tensor.shape, dtype_of(tensor))
 
 
 def _count(path: Path, name: str, text: str) -> int:
-    """Return the number in the metadata ``name``, whose value is ``text``; ``ModelError`` for no number."""
+    """Return the number in the metadata ``name``.
+
+    ``text`` is the value in the metadata. Raise ``ModelError`` if the value is not a valid number.
+    """
     if not text.isdecimal() or not 0 < int(text) <= MOST_TICKS:
         refuse(path, name, f"a number from 1 to {MOST_TICKS}", repr(text[:80]))
     return int(text)

@@ -1,10 +1,9 @@
-"""Start the controller that a reference names, in another process.
+"""Start the controller of a reference in another process.
 
-FILE.py:NAME      a Python file, executed in a process of its own
-FILE.onnx         a policy, in a process of its own
-exec:COMMAND      a program, with its arguments, as typed in a shell in the working directory
-tcp:HOST:PORT     a program that listens on this machine
-unix:PATH         a program that listens at a Unix socket
+FILE.py:NAME      a Python file, executed in a process of its own FILE.onnx         a policy, in a process of
+its own exec:COMMAND      a program, with its arguments, as typed in a shell in the working directory
+tcp:HOST:PORT     a program that listens on this machine unix:PATH         a program that listens at a Unix
+socket
 """
 
 from __future__ import annotations
@@ -59,10 +58,10 @@ _BRACKETS = str.maketrans("[](),;", "      ")
 
 
 def of_file(path: Path, name: str, place: Place, *, onnx: bool) -> Making:
-    """Return the function that makes a file's controllers, each in a process of its own.
+    """Return the function that makes the controllers of a file, each in its own process.
 
-    ``name`` is the attribute of a Python file, or the layout of an ``onnx`` policy. Raise
-    ``MissingPackageError`` for a policy if onnxruntime is not installed.
+    ``name`` is the attribute of a Python file, or the layout of a policy. ``onnx`` states that the file is an
+    ONNX policy. Raise ``MissingPackageError`` for an ONNX policy if onnxruntime is not installed.
     """
     if onnx:
         ONNX.require(f"the controller {path.name}")
@@ -75,7 +74,7 @@ def of_file(path: Path, name: str, place: Place, *, onnx: bool) -> Making:
 
 
 def of_program(reference: str, place: Place) -> Making:
-    """Return the function that makes the controllers of an ``exec:``, ``tcp:`` or ``unix:`` reference.
+    """Return the function that makes controllers from an ``exec:``, ``tcp:`` or ``unix:`` reference.
 
     Each controller has its own process or connection. Raise ``InadmissibleError`` at ``place`` if there is no
     such program or address. This function itself does not execute the program.
@@ -89,13 +88,13 @@ def of_program(reference: str, place: Place) -> Making:
 def peer_of(
     reference: str, place: Place, within_s: float, logger: logging.Logger
 ) -> tuple[str, Callable[[], Peer]]:
-    """Return the name of a program for messages, and the function that starts or reaches it.
+    """Return a description of a program for messages, and the function that starts it or connects to it.
 
     Args:
-        reference: An ``exec:``, ``tcp:`` or ``unix:`` reference.
-        place: The place of an error.
-        within_s: The limit of time for a connection.
-        logger: The logger of the program's output.
+        reference: A reference that begins with ``exec:``, ``tcp:`` or ``unix:``.
+        place: The place that an error states.
+        within_s: The time limit [s] for a connection.
+        logger: The logger for the program's output.
 
     Raises:
         InadmissibleError: There is no such program or address.
@@ -116,7 +115,10 @@ def _made(
     subject: str,
     start: Callable[[], Peer],
 ) -> UserController:
-    """Return the controller after its first message; raise ``InadmissibleError`` at ``place`` without one."""
+    """Return the controller after its first message.
+
+    Raise ``InadmissibleError`` at ``place`` if no valid message arrives.
+    """
     connection = Connection(start, wire)
     try:
         with refusing(InadmissibleError, f"{subject} to be a controller", within_s, place):
@@ -128,7 +130,7 @@ def _made(
 
 
 def program_sha256(reference: str, place: Place) -> str:
-    """Return one hash of a program, the files among its arguments, and the files that these declare.
+    """Return one hash for a program, the files among its arguments, and the files that these declare.
 
     The hash is empty for a program at a socket. Raise ``InadmissibleError`` at ``place`` if a declared file
     is unreadable.
@@ -144,11 +146,12 @@ def program_sha256(reference: str, place: Place) -> str:
 
 
 def _contents(command: list[str], executable: Path) -> bytes:
-    """Return the bytes of the executable, then of each argument that is a file, then of the declared files.
+    """Return the bytes of the executable, of the arguments that are files, and of the declared files.
 
-    For a single file, the result is the file's own bytes, so that their hash is the file's hash. A declared
-    file contributes its hash in place of its bytes. A file declares further files at the beginning of a line
-    or of a comment: ``HARNESS_FILES = ["weights.bin"]`` or ``HARNESS_FILES="weights.bin"``.
+    For a single file, the result is the contents of the file, so that its hash is the file's hash. For a
+    declared file, the result contains its hash instead of its bytes. A file declares further files by the
+    text ``HARNESS_FILES = ["weights.bin"]`` or ``HARNESS_FILES="weights.bin"``. The text must be at the
+    beginning of a line or of a comment.
     """
     files = [executable, *(Path(item) for item in command[1:] if os.path.isfile(item))]
     parts = [file.read_bytes() for file in files]
@@ -162,7 +165,7 @@ def _contents(command: list[str], executable: Path) -> bytes:
 
 
 def _command(reference: str, place: Place) -> tuple[list[str], Path]:
-    """Return the words of the command in ``reference``, and the file that the command executes."""
+    """Return the words of the command in ``reference``, and the path of the executable."""
     try:
         command = shlex.split(reference.removeprefix(EXEC))
     except ValueError as error:
@@ -182,7 +185,7 @@ def _command(reference: str, place: Place) -> tuple[list[str], Path]:
 
 
 def _address(reference: str, place: Place) -> tuple[str, int] | str:
-    """Return a port of this machine, or the path of a socket."""
+    """Return the host and the port on this machine, or the path of a Unix socket."""
     if reference.startswith(UNIX):
         path = os.path.expanduser(reference.removeprefix(UNIX))
         if not os.path.exists(path):

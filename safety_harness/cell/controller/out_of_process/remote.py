@@ -1,7 +1,7 @@
-"""Call a controller in another process, so that its fault costs one episode and leaves a reason.
+"""Call a controller in another process.
 
-The controller keeps its own state there. If it ends, hangs, or sends an invalid message, the next ``reset``
-starts it anew.
+A fault of the controller then ends only one episode, with a reason. The controller keeps its state in its own
+process. If the process ends, hangs, or sends an invalid message, the next ``reset`` starts it again.
 """
 
 from __future__ import annotations
@@ -45,11 +45,15 @@ T = TypeVar("T")
 class RemoteController:
     """A controller at the other end of a connection.
 
-    ``first`` makes the first message to the controller, which must answer it ``within_s``.
+    ``first`` makes the first message to the controller. The controller must answer this message within
+    ``within_s``.
     """
 
     def __init__(self, connection: Connection, first: Callable[[], ProcessMessage], within_s: float) -> None:
-        """Begin the connection; raise ``GoneError`` or ``RefusedError`` if no valid welcome comes."""
+        """Begin the connection.
+
+        Raise ``GoneError`` or ``RefusedError`` if no valid welcome arrives.
+        """
         self._connection, self._first, self._within_s = connection, first, within_s
         self._said = self._begun()
         self.name = printable(self._said.name)
@@ -59,7 +63,10 @@ class RemoteController:
 
     @property
     def another(self) -> Callable[[], RemoteController] | None:
-        """A function that makes another lane's controller in the same process; None if impossible."""
+        """A function that makes a controller for another lane in the same process.
+
+        The property is None if the process cannot make another controller.
+        """
         return self._another if isinstance(self._said, MadeController) and self._said.many else None
 
     @property
@@ -69,7 +76,10 @@ class RemoteController:
 
     @property
     def acts_per_answer(self) -> int:
-        """The number of calls of ``act`` for which an answer lasts; 1 for a program."""
+        """The number of calls of ``act`` for which one answer lasts.
+
+        The number is 1 for a program.
+        """
         return self._said.acts_per_answer if isinstance(self._said, MadeController) else 1
 
     def _another(self) -> RemoteController:
@@ -80,13 +90,19 @@ class RemoteController:
         return copied
 
     def reset(self, *, settings: Settings, arm: DrivenArm, start: Start, seed: int) -> None:
-        """Begin an episode, in a new process if the last process has ended."""
+        """Begin an episode.
+
+        If the last process has ended, the method starts a new one.
+        """
         self._clock, self._tick = settings.clock, 0
         message = Reset(settings, arm, start, str(seed), self._lane)
         self._call(message, self._clock.wall_limit_s, Ready, lambda ready: None)
 
     def act(self, seen: Seen) -> Answer:
-        """Return the controller's answer; ``ControllerError`` if it is invalid or misses the wall limit."""
+        """Return the controller's answer.
+
+        Raise ``ControllerError`` if the answer is invalid or does not arrive within the wall-clock limit.
+        """
         tick, self._tick = self._tick, self._tick + 1
         limit_s = self._clock.wall_limit_s
         if isinstance(self._said, MadeController):
@@ -104,9 +120,10 @@ class RemoteController:
         rows: NDArray[np.float64],
         answers: LaneAnswers,
     ) -> dict[int, str]:
-        """Call ``controllers`` (n,) of this process in one exchange, as ``ask_together`` does.
+        """Call several controllers of this process in one exchange.
 
-        ``rows`` (n, wanted) are the views of these controllers; this controller is one of them.
+        The result is the same as the result of ``ask_together``. This controller must be one of
+        ``controllers`` (n,). ``rows`` (n, wanted) contains the views of these controllers.
         """
         here = {c._lane: lane for c, lane in zip(controllers, lanes, strict=True)}
 
@@ -121,7 +138,10 @@ class RemoteController:
         return self._call(message, sum(c._clock.wall_limit_s for c in controllers), SaidRows, read)
 
     def _begun(self) -> Welcome:
-        """Exchange the first messages; raise ``RefusedError`` if the controller has another protocol."""
+        """Exchange the first messages.
+
+        Raise ``RefusedError`` if the controller has another protocol.
+        """
         welcome = self._connection.introduce(self._first(), Welcome, self._within_s)
         if welcome.protocol != PROTOCOL:
             hint = "safety-harness docs reference/controller-protocol"
@@ -129,9 +149,10 @@ class RemoteController:
         return welcome
 
     def _call(self, sent: Reset | Act | ActOnRows, limit_s: float, kind: Any, read: Callable[[Any], T]) -> T:
-        """Send a message; return the result of ``read`` on the answer, which must be of ``kind``.
+        """Send a message, and return the result of ``read`` for the answer.
 
-        End the connection and raise ``ControllerError`` if the answer is missing, invalid or of another kind.
+        The answer must have the type ``kind``. If the answer is missing, invalid or of another type, end the
+        connection and raise ``ControllerError``.
         """
         try:
             if isinstance(sent, Reset) and not self._connection.quiet:
