@@ -246,8 +246,6 @@ def markdown_of_exit_codes() -> str:
     rows = []
     for name, found in every_command(typer.main.get_command(app)):
         text = " ".join((found.help or "").split())
-        if "Exit codes as for run." in text:
-            text = f"Exit code 1: as for `{'campaign ' * (' ' in name)}run`."
         parts = re.findall(r"Exit code (\d+)(?: too)?: (.*?)(?= Exit code |$)", text)
         codes = {
             which: "; ".join(part.rstrip(".") for code, part in parts if code == which) for which in "012"
