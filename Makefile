@@ -150,7 +150,7 @@ CODE_FOR :=
 ONE :=
 wheel: docs .venv-uv/bin/uv
 	$(ONE) .ci/machine_code.py $(CODE_FOR)
-	rm -rf build
+	rm -rf build/lib build/bdist.*
 	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir dist .
 
 # The largest disagreement with each independent oracle, into plans/oracles.json and docs/results/self-test.md.

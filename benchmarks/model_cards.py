@@ -27,33 +27,55 @@ from safety_harness.report.words import milliseconds_words
 PAGE = Path(__file__).parents[1] / "docs" / "results" / "networks.md"
 EVALUATE = Path(__file__).with_name("EVALUATE.md")
 ABOUT = {
-    "mc-dropout": "The default avoider: Monte Carlo dropout after each stage (DO-inter), ten passes.",
-    "mc-dropout-full": "Monte Carlo dropout before every fully connected layer (DO-full), ten passes.",
-    "deterministic": "No dropout: one pass, no spread, so that the gate never finds it uncertain.",
-    "ensemble": "Five deterministic networks from five seeds; the spread is over the members.",
-    "optimum": "Trained on the continuous optimum in place of eq. 13's selected candidate: no noise.",
-    "student": "Two layers of 32 with ReLU, trained as `optimum`: small, for [proofs](../how-to/prove.md).",
-    "student-ensemble": "Five of `student` from five seeds; the spread is over them, and needs no seed.",
+    "mc-dropout": (
+        "This is the default avoider. It has Monte Carlo dropout after each stage (DO-inter) and "
+        "makes ten passes."
+    ),
+    "mc-dropout-full": (
+        "This network has Monte Carlo dropout before every fully connected layer (DO-full) and makes "
+        "ten passes."
+    ),
+    "deterministic": (
+        "This network has no dropout and makes one pass. It has no spread, so the gate never finds it "
+        "uncertain."
+    ),
+    "ensemble": (
+        "The members are five deterministic networks from five seeds. The spread is their standard deviation."
+    ),
+    "optimum": (
+        "This network was trained on the continuous optimum instead of the candidate that eq. 13 "
+        "selects, so its labels have no noise."
+    ),
+    "student": (
+        "This network has two ReLU layers of 32 units, and was trained like `optimum`. It is small, "
+        "for use in [proofs](../how-to/prove.md)."
+    ),
+    "student-ensemble": (
+        "The members are five `student` networks from five seeds. The spread is their standard "
+        "deviation and needs no seed."
+    ),
 }
 HEAD = """\
 <!-- reader: research; written by: benchmarks/model_cards.py; question: How good are the shipped networks? -->
 
 # The shipped networks
 
-Written by `python benchmarks/model_cards.py` from the model files and a fresh evaluation; figures in
-millimetres. The regression ResNet of Chen et al. (2020) as in figures 3 and 4 of the paper: three stages of
-one dense and two identity blocks, 32 units wide; `student` and its ensemble are perceptrons. Each was
-trained on the CPU of two ordinary cores in one to
-four minutes, with a recipe of ours ([training](../how-to/train.md)); the paper's own recipes and scale are
-one command away (`safety-harness train paper-mc-dropout`).
+`python benchmarks/model_cards.py` writes this page from the model files and a fresh evaluation. Lengths are
+in millimetres. `student` and `student-ensemble` are perceptrons. All other networks are the regression ResNet
+of Chen et al. (2020), as in figures 3 and 4 of the paper. This ResNet has three stages of 32 units width,
+each with one dense block and two identity blocks. We trained each network on two ordinary CPU cores in one
+to four minutes, with [our own recipe](../how-to/train.md). `safety-harness train paper-mc-dropout` uses the
+paper's recipe and scale instead.
 
-**Training data**, the same for all: 10,000 TCPs x 500 hands, 100 candidates a TCP, seed 0, sha256
-`{data}`;
-split 0.8/0.1/0.1 by TCP. Seen space (corners in the base frame): TCP {tcp}, hand {hand}.
+**Training data**, the same for all networks: 10,000 TCPs x 500 hands, 100 candidates per TCP, seed 0, sha256
+`{data}`.
+The split is 0.8/0.1/0.1 by TCP. The seen space consists of two boxes (corners in the base frame): TCP {tcp},
+hand {hand}.
 
-**Calibration**: 10,000 fresh seen TCPs with one hand each for the residuals, as many others for the two
-quantiles. An interval is the multiplier times sqrt(spread^2 + residual^2) to either side: 95 % of the labels
-are covered on all three axes at once. The spread threshold is what 1 % of seen decisions exceed.
+**Calibration**: the residuals come from 10,000 fresh seen TCPs with one hand each, and the two quantiles
+(multiplier and threshold) from 10,000 others. An interval extends to either side of the prediction by the
+multiplier times sqrt(spread^2 + residual^2). Such intervals cover 95 % of the labels on all three axes
+simultaneously. The spread exceeds the spread threshold in 1 % of the decisions in the seen space.
 
 **Known limits**
 {limits}
@@ -122,9 +144,10 @@ def computing_time() -> Iterator[str]:
     """What each declares, and what it takes here."""
     yield "## Computing time\n"
     yield (
-        "All declare 0 as decision time: [time is not modelled](../how-to/avoider.md#computing-time)\n"
-        "unless the settings say it. One question at a time, as `safety-harness time` asks, 1,000 answers\n"
-        f"of each, on {machine()}, load {os.getloadavg()[0]:.0f} (processes that wanted to run):\n"
+        "Every network declares a decision time of 0, so [time is not\n"
+        "modelled](../how-to/avoider.md#computing-time) unless the settings state a time. Each network\n"
+        "answered 1,000 queries, one at a time, as in `safety-harness time`. The machine was\n"
+        f"{machine()}, with a load of {os.getloadavg()[0]:.0f} processes:\n"
     )
     yield "| network | declared | p50 | p99 | max |"
     yield "|---|---|---|---|---|"
@@ -142,9 +165,9 @@ def what_evaluate_finds() -> Iterator[str]:
     """The rows of EVALUATE.md about the avoiders that ship."""
     yield "## What evaluate finds"
     yield ""
-    yield "Findings of [`evaluate`](../how-to/evaluate.md) on the avoiders that ship, from"
-    yield "`benchmarks/EVALUATE.md`: in how many of the seeds, and the range of the figures. `opposite pose`"
-    yield "and `nearest candidate` are far from the optimum, or jump, by design."
+    yield "The table shows the findings of [`evaluate`](../how-to/evaluate.md) on the shipped avoiders, from"
+    yield "`benchmarks/EVALUATE.md`, with the number of seeds of each finding and the ranges of the figures."
+    yield "`opposite pose` and `nearest candidate` are far from the optimum, or jump, by design."
     yield ""
     shown = ("avoider", *SHIPPED, "opposite pose", "nearest candidate")
     rows = EVALUATE.read_text().partition("## Sound avoiders")[2].splitlines()
@@ -163,10 +186,10 @@ def main() -> None:
     floor = found["models"][0]["sets"][0]["label_floor_m"]
     lines = [head(models["mc-dropout"])]
     lines.append(
-        f"The floor that the noise of the labels leaves to any regressor on new seen TCPs: RMSE "
+        f"Because of label noise, no regressor can have smaller errors than these on new seen TCPs: RMSE "
         f"{millimetres(floor['rmse_m'])}, MAE {millimetres(floor['mae_m'])} "
-        "(1,000 redraws of the candidates a TCP). "
-        "It is no floor for `optimum`, whose labels have none.\n"
+        "(1,000 redraws of the candidates of each TCP). "
+        "Networks that are trained on the optimum have smaller errors, because their labels have no noise.\n"
     )
     lines.extend(computing_time())
     lines.extend(what_evaluate_finds())

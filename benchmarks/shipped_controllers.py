@@ -43,46 +43,47 @@ CARDS = """\
 
 # Controllers that ship
 
-Written by `make bench-shipped_controllers`. A file names a controller by `controller:`, a command by
-`--controller` ([controllers](../how-to/controller.md)). Each violates `{near}` in some runs: the table
-below has the shares.
+`make bench-shipped_controllers` writes this page. A scenario file selects a controller with the key
+`controller:`, and a command with the option `--controller`; see [controllers](../how-to/controller.md). Each
+controller violates `{near}` in some runs; the last table shows in how many.
 
 ## Visual servo
 
-The paper's controller, and the default. Image moments of the object drive the TCP. When a predicted hand
-comes within the critical distance, an [avoider](../how-to/avoider.md) proposes where to retreat to, and a
-gate decides. It sees the object and the predicted hands, reports mode, decisions and doubt, and needs the
-object in the camera's view at the start. States and transitions: [the state
-table](../reference/controller.md).
+This is the paper's controller, and the default. It controls the TCP with the image moments of the object.
+When a predicted hand comes within the critical distance, an [avoider](../how-to/avoider.md) proposes a
+position to retreat to, and a gate decides whether to use it. The controller sees the object and the predicted
+hands. It reports its mode, its decisions and its doubt. At the start, the object must be in the camera's
+view. The [state table](../reference/controller.md) lists the states and transitions.
 
 ## Stop when near
 
-It goes straight to the desired TCP by the encoders alone, position and orientation, with the settings'
-`gain_far`. A protective stop lasts while any hand of the sensor's last frame is within the critical
-distance of the TCP. It sees joints and hands as measured, and reports its mode. It never retreats, does not
-see the object, and looks at the TCP alone: a hand at the elbow does not stop it.
-`safety_harness/cell/controller/stop_when_near.py`, 60 lines.
+This controller moves straight to the desired TCP position and orientation. It uses only the encoders, and the
+settings' `gain_far`. It makes a protective stop while any hand in the sensor's last frame is within the
+critical distance of the TCP. It sees the measured joints and hands, and reports its mode. It never retreats
+and does not see the object. It watches only the TCP, so a hand at the elbow does not stop it. Its program,
+`safety_harness/cell/controller/stop_when_near.py`, has 60 lines.
 
 ## Learned policy
 
-A network of 13,520 weights, `models/learned-policy.onnx`, SHA-256 `{sha256}`.
-[examples/train_a_policy.py](../../examples/train_a_policy.py) trained it by PPO in six minutes on two
-processors: `reaching-hands`, random seed 0, 1.5 million actions of 40 ms each. It runs in this process by
-onnxruntime (extra `onnx`). It sees the TCP, and positions and velocities of the predicted hands, and
-commands the TCP's velocity. It reports no mode and no decisions, so claims about them are inconclusive.
+This controller is a network of 13,520 weights, `models/learned-policy.onnx`, SHA-256 `{sha256}`.
+[examples/train_a_policy.py](../../examples/train_a_policy.py) trained the network by PPO in six minutes on
+two processors. The training used the space `reaching-hands`, the random seed 0, and 1.5 million actions of
+40 ms each. The network runs in the harness's own process with onnxruntime (extra `onnx`). It sees the TCP,
+and the positions and velocities of the predicted hands. It commands the TCP's velocity. It reports no mode
+and no decisions, so claims about modes and decisions are inconclusive.
 
-- Its reward is 20 for each metre nearer to the desired position, and 40 T min(m, 0) at each tick. Here m is
-  the margin of "always hand distance > 150 mm" [m], and T = 8 ms. On the draws of that space below:
-  {worth}.
-- It knows only the desired position, cell and speed limits of the default settings.
-- It never turns the tool: a tilted start stays tilted. It does not see the object, obstacles or its own
-  limits.
-- It is an example of the way from training to evidence, and must not run on a robot.
+- The reward is 20 for each metre of progress towards the desired position, plus 40 T min(m, 0) at each tick.
+  Here m is the margin of "always hand distance > 150 mm" [m], and T = 8 ms. Mean rewards on the samples of
+  `reaching-hands` below, with standard errors: {worth}.
+- It knows only the desired position, the cell and the speed limits of the default settings.
+- It never turns the tool, so a tool that starts tilted stays tilted. It does not see the object, obstacles or
+  its own limits.
+- It is an example of how to train a policy and collect evidence about it, and must not run on a robot.
 
 ## Side by side
 
-Revision {revision}. {draws} draws of each space (stream 1000), the same for all, in the kinematic world.
-The visual servo has the avoiders that the spaces name.
+The table was measured at revision {revision}, in the kinematic world. All controllers ran on the same
+{draws} samples of each space (stream 1000). The visual servo ran with the avoider that each space names.
 
 | column | meaning |
 |---|---|
