@@ -199,6 +199,6 @@ def _module(path: Path, source: bytes, place: Place) -> ModuleType:
 
 def raised(path: Path, place: Place, expected: str, error: BaseException) -> InadmissibleError:
     """Return the error for a user's file that raised ``error`` where ``expected`` was expected."""
-    beside = isinstance(error, ModuleNotFoundError) and (path.parent / f"{error.name}.py").is_file()
-    hint = f"PYTHONPATH={display_path(path.parent)} lets it import modules of its folder" if beside else ""
+    neighbour = isinstance(error, ModuleNotFoundError) and (path.parent / f"{error.name}.py").is_file()
+    hint = f"PYTHONPATH={display_path(path.parent)} lets it import modules of its folder" if neighbour else ""
     return InadmissibleError(place=place, expected=expected, got=described(error, str(path)), hint=hint)

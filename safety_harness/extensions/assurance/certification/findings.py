@@ -83,7 +83,10 @@ def undeclared(ledger: Ledger) -> str:
     ``certify declare`` executes no program, so it cannot know these files. The sentence is empty if there are
     none.
     """
-    names = [name for name in ledger.opened if f"the file {name}" not in dict(ledger.declared.identity.parts)]
+    declared_parts = dict(ledger.declared.identity.parts)
+    # A file without a hash was absent, or a program wrote it itself.
+    hashed = [name for name, sha256 in ledger.opened.items() if sha256]
+    names = [name for name in hashed if f"the file {name}" not in declared_parts]
     if not names:
         return ""
     more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""

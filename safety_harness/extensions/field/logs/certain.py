@@ -309,8 +309,8 @@ def _body_reach(log: CellLog, samples: LogSamples, time_ns: NDArray[np.int64]) -
     if known_to_m is None:
         known_to_m = np.full(len(time_ns), facts.known_to_m)
     sample_m = known_to_m + most_mps * log.clock_known_to_s + ROUNDING_M
-    for apart in strides(len(time_ns)):  # over a short step, the samples' errors hide a high speed
-        _refuse_fast(samples, time_ns, known_to_m, most_mps, log.clock_known_to_s, apart)
+    for stride in strides(len(time_ns)):  # over a short step, the samples' errors hide a high speed
+        _refuse_fast(samples, time_ns, known_to_m, most_mps, log.clock_known_to_s, stride)
     way_m = np.linalg.norm(np.diff(samples.values, axis=0), axis=1)
     step_s = np.diff(time_ns) / NS
     grid = {"longest_ns": round(facts.longest_gap_s * NS), "period_ns": log.period_ns}
@@ -328,21 +328,21 @@ def _refuse_fast(
     known_to_m: NDArray[np.float64],  # (n,)
     most_mps: float,
     clock_known_to_s: float,
-    apart: int,
+    stride: int,
 ) -> None:
-    """Raise LogError if a body certainly exceeds ``most_mps`` between samples with a distance ``apart``."""
-    way_m = np.linalg.norm(samples.values[apart:] - samples.values[:-apart], axis=1)
-    step_s = (time_ns[apart:] - time_ns[:-apart]) / NS
+    """Raise LogError if a body certainly exceeds ``most_mps`` between samples with a distance ``stride``."""
+    way_m = np.linalg.norm(samples.values[stride:] - samples.values[:-stride], axis=1)
+    step_s = (time_ns[stride:] - time_ns[:-stride]) / NS
     # The clock's error may lengthen the step at both of its ends.
-    most_m = most_mps * (step_s + 2.0 * clock_known_to_s) + known_to_m[:-apart] + known_to_m[apart:]
+    most_m = most_mps * (step_s + 2.0 * clock_known_to_s) + known_to_m[:-stride] + known_to_m[stride:]
     fast = np.flatnonzero(way_m > most_m + ROUNDING_M)
     if len(fast):
         index = int(fast[0])
         speed_mps = way_m[index] / step_s[index]
-        before = "the sample before" if apart == 1 else f"the sample {apart} before"
+        earlier = "the sample before" if stride == 1 else f"the sample {stride} before"
         raise samples.error(
-            index + apart,
-            f"a way from {before} that is possible at {most_mps:g} m/s",
+            index + stride,
+            f"a way from {earlier} that is possible at {most_mps:g} m/s",
             f"{way_m[index] * 1e3:.4g} mm in {step_s[index] * 1e3:.4g} ms, {speed_mps:.3g} m/s",
             "another marker, another unit or another clock from here on? or hands: {moves at most: ...}",
         )

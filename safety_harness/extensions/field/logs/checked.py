@@ -145,14 +145,14 @@ def refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[st
     The check compares neighbours, then every second sample, every fourth and so on, because the samples'
     errors hide an excess over a short step.
     """
-    for apart in strides(len(joints.time_ns)):
-        _refuse_jumps(joints, facts, names, apart)
+    for stride in strides(len(joints.time_ns)):
+        _refuse_jumps(joints, facts, names, stride)
 
 
-def _refuse_jumps(joints: LogSamples, facts: JointFacts, names: tuple[str, ...], apart: int) -> None:
-    """Make the check of ``refuse_jumping_joints`` for every sample number that is divisible by ``apart``."""
-    angles_rad = joints.values[::apart, : len(names)]
-    step_s = np.diff(joints.time_ns[::apart]) / NS
+def _refuse_jumps(joints: LogSamples, facts: JointFacts, names: tuple[str, ...], stride: int) -> None:
+    """Make the check of ``refuse_jumping_joints`` for every sample number that is divisible by ``stride``."""
+    angles_rad = joints.values[::stride, : len(names)]
+    step_s = np.diff(joints.time_ns[::stride]) / NS
     moved = np.abs(np.diff(angles_rad, axis=0))
     allowed = step_s[:, None] * facts.move_at_most_radps + 2.0 * facts.known_to_rad
     allowed *= 1.0 + 1e-9  # the rounding of differences over long steps
@@ -166,7 +166,7 @@ def _refuse_jumps(joints: LogSamples, facts: JointFacts, names: tuple[str, ...],
             hint = "its angles wrap at a turn, and a joint with ends has to be logged without the wrap: the "
             hint += "angles alone do not say in which turn it is"
         raise joints.error(
-            (index + 1) * apart,
+            (index + 1) * stride,
             f"{names[joint]} to turn at {most:.4g} deg/s at most, as the file says",
             f"a jump of {np.degrees(moved[index, joint]):.4g} deg in {step_s[index] * 1e3:.4g} ms, "
             f"{speed:.4g} deg/s",
@@ -181,7 +181,7 @@ def _refuse_jumps(joints: LogSamples, facts: JointFacts, names: tuple[str, ...],
     if (hard > facts.accelerate_at_most_radps2 * (1.0 + 1e-6)).any():
         index = int(np.argmax(hard > facts.accelerate_at_most_radps2 * (1.0 + 1e-6)))
         raise joints.error(
-            (index + 2) * apart,
+            (index + 2) * stride,
             f"{names[int(np.argmax(turned[index]))]} to speed up or brake at "
             f"{facts.accelerate_at_most_radps2:.4g} rad/s2 at most, as the file says",
             f"{hard[index]:.4g} rad/s2 at least, by three samples known to {facts.known_to_rad:.4g} rad",

@@ -33,10 +33,10 @@ TABLES, BAGS = (".csv", ".parquet"), (".mcap", ".db3", ".bag")
 
 def strides(count: int) -> Iterator[int]:
     """Yield 1, 2, 4 and so on below ``count``: the distances of samples that a check compares."""
-    apart = 1
-    while apart < count:
-        yield apart
-        apart *= 2
+    stride = 1
+    while stride < count:
+        yield stride
+        stride *= 2
 
 
 @dataclass(frozen=True)
