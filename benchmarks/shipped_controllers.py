@@ -83,7 +83,7 @@ and no decisions, so claims about modes and decisions are inconclusive.
 ## Side by side
 
 The table was measured at revision {revision}, in the kinematic world. All controllers ran on the same
-{draws} samples of each space (stream 1000). The visual servo ran with the avoider that each space names.
+{draws} samples of each space (stream 1000). In each space, the visual servo ran with the space's own avoider.
 
 | column | meaning |
 |---|---|

@@ -426,8 +426,8 @@ def measure_speeds(shields: ShieldRecords) -> None:
 
     The bound uses an earlier frame, which is older by at least the window. The bound is |v| <= (|p -
     p_before| + 2 Z)/t + b t/2. Z is the uncertainty of a position, t is the time between the two frames, and
-    b is the largest acceleration. The shield does not know which hand of the older frame is the same hand. So
-    p_before is the farthest position in the older frame from which the hand could have come.
+    b is the largest acceleration. The shield does not know which hand of the older frame is which hand of the
+    newer frame. So p_before is the farthest position in the older frame from which the hand could have come.
     """
     g = shields[0]
     if g.taken_s[0] - g.taken_s[1] >= g.window_s:  # frame 1 becomes frame 2, and this frame 1

@@ -177,12 +177,12 @@ def certify(
     evidence = made.evidence
     document(**plain(evidence), page=made.page)
     say(*(f"error: {text}" for text in evidence.unmade))
-    result(*tested_lines(made.plan), *_shielded_lines(made.plan, made.folder / LEDGER))
-    with Ledger.open(made.folder / LEDGER, alone=True) as opened:
-        result(*(f"limits: {line}" for line in limited_lines(made.plan, opened)))
     for claim in evidence.claims:
         mark = {"holds": "ok  ", "violated": "NO  "}.get(STATE[claim.standing], "open")
         result(f"{mark} {claim.standing.value:<21} {claim.sentence}: {claim.why}")
+    result(*tested_lines(made.plan), *_shielded_lines(made.plan, made.folder / LEDGER))
+    with Ledger.open(made.folder / LEDGER, alone=True) as opened:
+        result(*(f"limits: {line}" for line in limited_lines(made.plan, opened)))
     simplest = made.plan.strata[0].space.simplest
     for planned, claim in zip(made.plan.claims, evidence.claims, strict=True):
         margins = [item.least_margin_si for item in claim.outcomes if item.least_margin_si is not None]
