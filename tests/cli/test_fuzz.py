@@ -169,7 +169,7 @@ def test_ctrl_c_keeps_what_was_found(
     monkeypatch.setattr(Trials, "__call__", interrupted)
     assert fuzz(space, out=tmp_path / "out", budget=500) == INTERRUPTED
     out, err = capsys.readouterr()
-    assert "kept as it was found" in err
+    assert "kept as found" in err
     assert "NOT FOUND" not in out
     (then,) = [line for line in err.splitlines() if line.startswith("next: ")]
     assert then.startswith("next: safety-harness fuzz short.yaml ")

@@ -226,4 +226,4 @@ def test_warm_that_cannot_keep_anything_fails_and_ctrl_c_keeps_what_was_compiled
     monkeypatch.setattr(warm, "run_trial", interrupted)
     ran = CliRunner().invoke(app, ["warm"])
     assert ran.exit_code == 130
-    assert "what was compiled is kept" in ran.stderr
+    assert "the compiled functions are kept" in ran.stderr
