@@ -6,12 +6,16 @@ import json
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from safety_harness.base.exceptions import FormulaError, StreamError
-from safety_harness.extensions.field.monitoring.cell import cell_taken
+from safety_harness.extensions.field.monitoring.cell import cell_taken, read_cell
+from safety_harness.extensions.field.monitoring.earlier import EarlierSamples
 from safety_harness.extensions.field.monitoring.monitor import Monitor, VerdictLine
 from safety_harness.scenario.model import Verdict
 
@@ -150,12 +154,12 @@ def test_nothing_at_all_is_inconclusive_until_something_comes() -> None:
         (line(3, joint_position_rad=[0.0] * 5), "6 numbers"),
         (line(3, joint_position_rad=[90.0] * 6), "at most 25.13"),
         (line(3, joint_position_rad=[*JOINTS[:5], None]), "a JSON object with time_s"),
-        (line(3, joint_position_rad=[*JOINTS[:5], 2.5]), "a sample that can follow the one before it"),
+        (line(3, joint_position_rad=[*JOINTS[:5], 2.5]), "a sample that the stated speeds allow"),
         (line(3, hands={"left": PLACE}), "hands that the monitor was told of: hand"),
         (line(3, hands={"hand": {"hand_position_in_base_m": [900, 1, 2]}}), "places within 10 m"),
         (
             line(3, hands={"hand": PLACE | {"hand_position_in_base_m": [0.1, 0, 0]}}),
-            "a sample that can follow",
+            "a sample that the stated speeds allow",
         ),
         (line(3, gripper=1), "a JSON object with time_s"),
         (line(10_000), "within 60 s of the latest one"),
@@ -180,6 +184,68 @@ def test_a_hand_that_jumps_is_lost_at_once() -> None:
     with pytest.raises(StreamError, match=r"hands\.hand\.hand_position_in_base_m"):
         take(own, line(20, hands={"hand": far}))
     assert own.claims[0].latest is Verdict.INCONCLUSIVE
+
+
+def monitor_with(text: str, tmp_path: Path) -> Monitor:
+    """Return a monitor of a cell that its own LOG.yaml describes."""
+    file = tmp_path / "LOG.yaml"
+    file.write_text(f"{text}robot: UR10\nclaims: [{LOW}]\n")
+    return Monitor(cell=read_cell(file), wait_s=0.0)
+
+
+NO_FORM = """log: {joints: none, hands: {hand: none}, period: 8 ms}
+joints: {known to: 0.1 deg, longest gap: 100 ms}
+hands: {forearm: none, frame: base, known to: 5 mm, moves at most: 0.1 m/s, longest gap: 100 ms}
+clock: {hands are ahead by: 0 ms, known to: 0 ms}
+"""
+
+
+def test_a_hand_that_is_faster_than_stated_is_lost_although_each_step_is_within_its_error(
+    tmp_path: Path,
+) -> None:
+    """At 0.5 m/s a step of 8 ms is 4 mm, less than twice 5 mm; 0.1 m/s allows it, and 32 mm in 64 ms not."""
+    own = monitor_with(NO_FORM, tmp_path)
+    refused = []
+    for tick in range(60):
+        place = {"hand_position_in_base_m": [1.1 + 0.004 * tick, 0.2, 0.4]}
+        try:
+            take(own, line(tick, hands={"hand": place}))
+        except StreamError as error:
+            refused.append((tick, str(error)))
+    assert refused[0][0] <= 8
+    assert "its limit is 0.1 m/s" in refused[0][1]
+    assert len(refused) > 40
+    slow = monitor_with(NO_FORM, tmp_path)
+    for tick in range(200):
+        place = {"hand_position_in_base_m": [1.1 + 0.0008 * tick, 0.2, 0.4]}
+        take(slow, line(tick, hands={"hand": place}))
+    assert slow.counts.refused == 0
+
+
+@pytest.mark.parametrize(("rate_radps2", "refused"), [(2.0, True), (0.5, False)])
+def test_joints_that_accelerate_more_than_stated_are_refused(
+    rate_radps2: float, refused: bool, tmp_path: Path
+) -> None:
+    """Three neighbours hide 2 rad/s2 behind the errors of their positions; samples far apart do not."""
+    joints = "joints: {known to: 0.1 deg, longest gap: 100 ms, accelerate at most: 57.3 deg/s2}"
+    own = monitor_with(NO_FORM.replace(NO_FORM.splitlines()[1], joints), tmp_path)
+    for tick in range(100):
+        angle = JOINTS[0] + rate_radps2 * (0.008 * tick) ** 2 / 2.0
+        with suppress(StreamError):
+            take(own, line(tick, joint_position_rad=[angle, *JOINTS[1:]]))
+    assert (own.counts.refused > 0) is refused
+
+
+@given(st.integers(1, 300))
+def test_samples_of_each_power_of_two_before_the_next_one_are_kept(count: int) -> None:
+    earlier = EarlierSamples(1)
+    for number in range(count):
+        earlier.add(number, np.array([float(number)]))
+    times_ns, values = earlier.kept_samples()
+    assert (times_ns == values[..., 0]).all()
+    for level, (later, former) in enumerate(times_ns.T.tolist()):
+        last = (count - 1) >> level << level
+        assert (later, former) == (last, max(last - (1 << level), 0))
 
 
 NO_NUMBERS = [float("nan")] * 6

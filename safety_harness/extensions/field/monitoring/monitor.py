@@ -232,7 +232,7 @@ class Monitor:
             self.counts.refused += 1
             name, got = problems[0]
             hint = 'another unit, marker or clock from here on? faster than is said? or "repeats: at rest"'
-            raise line_error(number, name, "a sample that can follow the one before it", got, hint)
+            raise line_error(number, name, "a sample that the stated speeds allow", got, hint)
 
     def _use_hands(self, time_ns: int, sample: Sample) -> list[tuple[str, str]]:
         """Use the hands of ``sample``; return (field, reason) for each position that cannot be used."""

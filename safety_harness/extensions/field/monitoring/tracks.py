@@ -27,12 +27,13 @@ from safety_harness.extensions.field.logs.reach import (
     rate_off,
 )
 from safety_harness.extensions.field.logs.streams import NS, SHORTEST_STEP_NS
+from safety_harness.extensions.field.monitoring.earlier import EarlierSamples, least_accelerations
 
 Values = NDArray[np.float64]
 
 
 class Jump(ValueError):
-    """The error for a sample that is too far from the previous sample, or that is frozen."""
+    """The error for a sample that earlier samples contradict, or that is frozen."""
 
 
 class WithinByTick:
@@ -89,24 +90,40 @@ class JointTrack:
         self._before: tuple[int, Values, Values | None] | None = None
         self.slope: Values | None = None  # the mean speed between the last two samples
         self._repeats = [Repeats() for _ in facts.move_at_most_radps]
+        self._earlier = EarlierSamples(len(arm.joint_names))
 
     def unwrapped(self, time_ns: int, position_rad: Values) -> Values:
         """Return the next joint positions ``position_rad`` (n,) without wraps; raise Jump after a jump."""
         turned_rad = self._turned_rad
         if self.last is not None:
             step_s = (time_ns - self.last[0]) / NS
-            step_rad, most = position_rad - turned_rad - self.last[1], self._facts.move_at_most_radps
-            wrapped = wrapped_rad(step_rad, step_s, self._facts, self._arm)
-            turned_rad, step_rad = turned_rad + wrapped, np.abs(step_rad - wrapped)
-            fast = step_rad - step_s * most - 2.0 * self._facts.known_to_rad
-            if fast.max() > 0.0:
-                joint = int(fast.argmax())
-                raise Jump(
-                    f"joint {joint + 1} turn {np.degrees(step_rad[joint]):.4g} deg in {step_s * 1e3:.4g} ms, "
-                    f"which can {np.degrees(most[joint]):.4g} deg/s"
-                )
+            step_rad = position_rad - turned_rad - self.last[1]
+            turned_rad = turned_rad + wrapped_rad(step_rad, step_s, self._facts, self._arm)
+        self._refuse_jump(time_ns, position_rad - turned_rad)
         self._turned_rad = turned_rad
         return position_rad - turned_rad
+
+    def _refuse_jump(self, time_ns: int, position_rad: Values) -> None:
+        """Raise Jump if a joint exceeded its speed or acceleration to reach ``position_rad`` (n,)."""
+        times_ns, earlier_rad = self._earlier.kept_samples()
+        steps_s, known_rad = (time_ns - times_ns)[..., None] / NS, self._facts.known_to_rad
+        moved, most = np.abs(position_rad - earlier_rad), self._facts.move_at_most_radps
+        fast = moved - (steps_s * most + 2.0 * known_rad) * (1.0 + 1e-9)  # the rounding over long steps
+        if fast.size and fast.max() > 0.0:
+            *sample, joint = np.unravel_index(fast.argmax(), fast.shape)
+            raise Jump(
+                f"a turn of joint {joint + 1} by {np.degrees(moved[*sample, joint]):.4g} deg in "
+                f"{steps_s[*sample, 0] * 1e3:.4g} ms, and its limit is {np.degrees(most[joint]):.4g} deg/s"
+            )
+        if (hard := self._facts.accelerate_at_most_radps2) is None:
+            return
+        least, spans_ns = least_accelerations(time_ns, position_rad, self._earlier, known_rad)
+        if least.size and least.max() > hard * (1.0 + 1e-6):
+            level, joint = np.unravel_index(least.argmax(), least.shape)
+            raise Jump(
+                f"at least {least[level, joint]:.4g} rad/s2 of joint {joint + 1} in "
+                f"{spans_ns[level] / 1e6:.4g} ms, and its limit is {hard:.4g} rad/s2"
+            )
 
     def add(self, time_ns: int, position_rad: Values, rates_radps: Values | None) -> int | None:
         """Add a new sample with ``position_rad`` (n,) and ``rates_radps`` (n,).
@@ -116,6 +133,7 @@ class JointTrack:
         """
         sample, previous = (time_ns, position_rad, rates_radps), self.last
         self._before, self.last = previous, sample
+        self._earlier.add(time_ns, position_rad)
         joints = zip(self._repeats, position_rad.tolist(), strict=True)
         since = [at_ns for joint, value in joints if (at_ns := joint.since(time_ns, (value,))) is not None]
         if previous is None:
@@ -191,19 +209,22 @@ class BodyTrack:
         self._first_ns: int | None = None
         self.lost = False  # whether the body is lost since the last sample
         self._repeats = Repeats()
+        self._earlier = EarlierSamples(3)
 
     def takes(self, time_ns: int) -> bool:
         """Return whether ``time_ns`` is later than the last sample."""
         return not self.samples or time_ns - self.samples[-1][0] >= SHORTEST_STEP_NS
 
     def refuse_jump(self, time_ns: int, position_m: Values) -> None:
-        """Raise Jump if the body is too slow to have reached ``position_m`` (3,) since the last sample."""
-        if self.samples:
-            before_ns, before_m = self.samples[-1]
-            step_s, way_m = (time_ns - before_ns) / NS, float(length(position_m - before_m))
-            most = self._facts.moves_at_most_mps
-            if way_m > most * (step_s + 2.0 * self._clock_s) + 2.0 * self._facts.known_to_m + ROUNDING_M:
-                raise Jump(f"it go {way_m * 1e3:.4g} mm in {step_s * 1e3:.4g} ms, which can {most:g} m/s")
+        """Raise Jump if the body is too slow to have reached ``position_m`` (3,) since an earlier sample."""
+        times_ns, earlier_m = self._earlier.kept_samples()
+        steps_s, way_m = (time_ns - times_ns) / NS, np.sqrt(((position_m - earlier_m) ** 2).sum(axis=-1))
+        most = self._facts.moves_at_most_mps
+        fast = way_m - most * (steps_s + 2.0 * self._clock_s) - 2.0 * self._facts.known_to_m - ROUNDING_M
+        if fast.size and fast.max() > 0.0:
+            sample = np.unravel_index(fast.argmax(), fast.shape)
+            path = f"a way of {way_m[sample] * 1e3:.4g} mm in {steps_s[sample] * 1e3:.4g} ms"
+            raise Jump(f"{path}, and its limit is {most:g} m/s")
 
     def add(self, time_ns: int, position_m: Values) -> int | None:
         """Add a sample at ``position_m`` (3,) that is later than the last sample.
@@ -222,6 +243,7 @@ class BodyTrack:
         else:
             self._first_ns = time_ns
         self.samples.append((time_ns, position_m))
+        self._earlier.add(time_ns, position_m)
         return since_ns if self.lost else None
 
     def at(self, tick: int) -> tuple[Values, float] | None:
