@@ -63,7 +63,7 @@ TOY := tests/base/test_extension_points.py
 LIGHT := $(addprefix tests/,scenario space trace base testing/test_parts.py testing/test_partly_measured.py \
 	test_same_arithmetic.py) --ignore=$(TOY)
 CORE := $(addprefix tests/,seams cell cli claims search report admission testing/plugin test_shipped_scenarios.py)
-WINGS := assurance field lab selftest gym arms worlds
+WINGS := attribution pages assurance field lab selftest gym arms worlds
 OTHERS = $(addprefix tests/,$(WINGS) whole) $(REST)
 REST := tests/docs tests/packaging $(addprefix tests/test_,array_shapes.py collection_order.py public_names.py \
 	readme.py release.py) $(TOY) paper/tests

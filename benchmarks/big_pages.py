@@ -27,8 +27,8 @@ sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "tests" / "report")]
 import factory  # noqa: E402
 from browsing import show, started  # noqa: E402
 
+from safety_harness.extensions.pages.run_page import write_report  # noqa: E402
 from safety_harness.report.evidence import JudgedRun  # noqa: E402
-from safety_harness.report.html import write_report  # noqa: E402
 
 OUT = ROOT / "benchmarks" / "BIG_PAGES.md"
 RUNS, OPENED = (67, 1_000, 10_000), 5

@@ -51,6 +51,8 @@ RESULTS, MACHINE_CODE = PLACE / "results", PLACE / "machine-code"
 SCRIPTS: Final = ("bits.py", "bits_items.py")  # a change of theirs makes kept results old
 SHOWN: Final = 12  # differences of an item
 PROSE_SHOWN: Final = 3
+# Of texts: hashes, and the root over rows, which hold the source hash.
+HASHES: Final = r"\b[0-9a-f]{64}\b|(?<=Root over all rows )[0-9a-f]{12}"
 
 # What is not compared of JSON documents, with all that lies below it, and why: the end of the path of keys.
 LEFT_OUT: Final = {
@@ -262,7 +264,7 @@ def _take_file(result: Result, name: str, file: Path) -> None:
     elif file.suffix == ".trace":
         _take_trace(result, name, file.read_bytes())
     elif file.name.endswith(".gsn.yaml"):  # names the hashes of the evidence
-        _take(result, f"{name}: text", re.sub(r"\b[0-9a-f]{64}\b", "<hash>", file.read_text()))
+        _take(result, f"{name}: text", re.sub(HASHES, "<hash>", file.read_text()))
     else:
         _take(result, f"{name}: bytes", hashlib.sha256(file.read_bytes()).hexdigest()[:16])
 

@@ -18,7 +18,7 @@ from safety_harness.base.geometry.segments import point_segment_distance
 from safety_harness.cell.robot.distance import hand_distance
 from safety_harness.cell.simulation.hand_motion import HandRecords, MoveRecords, advance_hands
 from safety_harness.cell.simulation.hand_programs import hands_at_start
-from safety_harness.search.attribution.unavoidable import FreeArm
+from safety_harness.extensions.attribution.unavoidable import FreeArm
 
 LEGS = 6
 KEPT = 20  # motions that the second half of a search varies

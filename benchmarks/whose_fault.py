@@ -26,14 +26,14 @@ from foresight import best_distance_m
 from safety_harness.admission.admit import Admitted, Admitter
 from safety_harness.admission.spaces import draw_admissible
 from safety_harness.claims.properties.hand_distance import HAND_DISTANCE
+from safety_harness.extensions.attribution.attribute import Attribution, AttributionAnswer, attribute
+from safety_harness.extensions.attribution.tally import AttributionTally
 from safety_harness.extensions.selftest.attributed import INGREDIENTS, attribute_seeded
 from safety_harness.extensions.selftest.catalogue import FAULTS
 from safety_harness.extensions.selftest.fault import SeededFault
 from safety_harness.extensions.selftest.suite import SelfTestPlan, profile_named
 from safety_harness.extensions.selftest.trial import FaultTrials
 from safety_harness.scenario.model import Claim, Verdict
-from safety_harness.search.attribution.attribute import Attribution, AttributionAnswer, attribute
-from safety_harness.search.attribution.tally import AttributionTally
 from safety_harness.space.read import read_space
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"

@@ -16,27 +16,29 @@ CORE = {
     "space": "distributions in place of values",
     "claims": "requirements with signed margins",
     "admission": "check, run and judge a scenario",
-    "search": "find violations and their causes",
-    "report": "pages and files about runs",
+    "search": "find violations",
+    "report": "results and files of runs",
     "testing": "pytest and Hypothesis",
     "cli": "parse, call, print",
 }
 WINGS = {  # the left edge of each, its row, and what it is for
     "worlds": (20, 7, "more simulators"),
     "gym": (640, 8, "learning environments"),
-    "arms": (40, 12, "fit and show arms"),
-    "lab": (330, 12, "train, score, prove"),
-    "field": (620, 12, "logs of real cells"),
-    "assurance": (330, 13, "estimate, certify"),
-    "selftest": (330, 14, "mutation testing"),
+    "attribution": (330, 12, "whose fault?"),
+    "pages": (330, 13, "HTML and pictures"),
+    "arms": (40, 14, "fit and show arms"),
+    "lab": (330, 15, "train, score, prove"),
+    "field": (620, 15, "logs of real cells"),
+    "assurance": (330, 16, "estimate, certify"),
+    "selftest": (330, 17, "mutation testing"),
 }
 LEFT = dict.fromkeys(CORE, 265) | {name: left for name, (left, _, _) in WINGS.items()}
 WIDTH = dict.fromkeys(CORE, 350) | dict.fromkeys(WINGS, 220)
 ROW = {name: row for row, name in enumerate(CORE)} | {name: row for name, (_, row, _) in WINGS.items()}
 WORDS = CORE | {name: words for name, (_, _, words) in WINGS.items()}
 HEIGHT = 34
-HEAD = """<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 880 858" font-family="sans-serif">
-<rect width="880" height="858" rx="8" fill="#ffffff"/>
+HEAD = """<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 880 1020" font-family="sans-serif">
+<rect width="880" height="1020" rx="8" fill="#ffffff"/>
 <defs><marker id="a" viewBox="0 0 10 10" refX="9" refY="5" markerWidth="7" markerHeight="7" orient="auto">
 <path d="M0 0 10 5 0 10z" fill="#37474f"/></marker></defs>
 <g font-size="14" font-weight="bold"><text x="20" y="38">core</text><text x="20" y="640">wings</text></g>
@@ -86,5 +88,5 @@ def picture() -> str:
         text = f'<tspan font-weight="bold" font-size="14">{name}</tspan><tspan dx="9">{words}</tspan>'
         lines.append(f'<rect {box}/><text x="{x + 10}" y="{y + 22}">{text}</text>')
     counts = f"{len(graph)} packages; {len(every)} pairs with imports, {len(drawn)} of them drawn"
-    legend = f'<text x="20" y="842">{counts}; longest chain: {max(map(floors, graph))} packages</text></g>'
+    legend = f'<text x="20" y="1004">{counts}; longest chain: {max(map(floors, graph))} packages</text></g>'
     return "\n".join([HEAD, *lines, legend, "</svg>"]) + "\n"

@@ -155,7 +155,7 @@ def names_of_wings() -> dict[str, tuple[str, ...]]:
 def with_names_of_wings(text: str) -> str:
     """The package's ``__init__.py`` with the names that wings give to it."""
     table = "".join(
-        f'    "{home}": ({", ".join(json.dumps(one) for one in own)}),\n'
+        f'    "{home}": ({", ".join(json.dumps(one) for one in own)}{"," * (len(own) == 1)}),\n'
         for home, own in names_of_wings().items()
     )
     marked = re.compile(r"( *# docs/tables\.py writes these lines\.\n).*?( *# end\n)", re.DOTALL)

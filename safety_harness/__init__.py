@@ -44,16 +44,16 @@ if TYPE_CHECKING:
     from safety_harness.claims.properties.base import Property as Property
     from safety_harness.extensions.assurance.certify_job import CertificationResult as CertificationResult
     from safety_harness.extensions.assurance.certify_job import certify as certify
+    from safety_harness.extensions.attribution.attribute_job import AttributionResult as AttributionResult
+    from safety_harness.extensions.attribution.attribute_job import attribute as attribute
     from safety_harness.extensions.field.read_log_job import LogResult as LogResult
     from safety_harness.extensions.field.read_log_job import read_log as read_log
     from safety_harness.extensions.lab.evaluate_job import EvaluationResult as EvaluationResult
     from safety_harness.extensions.lab.evaluate_job import evaluate as evaluate
     from safety_harness.extensions.lab.prove_job import ProofResult as ProofResult
     from safety_harness.extensions.lab.prove_job import prove as prove
-    from safety_harness.report.attribution_job import AttributionResult as AttributionResult
-    from safety_harness.report.attribution_job import attribute as attribute
+    from safety_harness.extensions.pages.run_page import write_report as write_report
     from safety_harness.report.evidence import JudgedRun as JudgedRun
-    from safety_harness.report.html import write_report as write_report
     from safety_harness.report.run_job import run as run
     from safety_harness.report.run_result import RunResult as RunResult
     from safety_harness.report.search_job import SearchResult as SearchResult
@@ -125,8 +125,6 @@ _HOMES = {
     "claims.formulas.parse": ("parse_formula",),
     "claims.properties.base": ("Evaluation", "Property"),
     "report.evidence": ("JudgedRun",),
-    "report.html": ("write_report",),
-    "report.attribution_job": ("AttributionResult", "attribute"),
     "report.run_job": ("run",),
     "report.run_result": ("RunResult",),
     "report.search_job": ("SearchResult", "fuzz"),
@@ -156,9 +154,11 @@ _HOMES = {
 _WINGS = {
     # docs/tables.py writes these lines.
     "extensions.assurance.certify_job": ("CertificationResult", "certify"),
+    "extensions.attribution.attribute_job": ("AttributionResult", "attribute"),
     "extensions.field.read_log_job": ("LogResult", "read_log"),
     "extensions.lab.evaluate_job": ("EvaluationResult", "evaluate"),
     "extensions.lab.prove_job": ("ProofResult", "prove"),
+    "extensions.pages.run_page": ("write_report",),
     # end
 }
 __all__ = sorted(name for names in (_HOMES | _WINGS).values() for name in names)

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 TOY = '''
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import typer
@@ -20,7 +20,7 @@ from safety_harness.cell.simulation.worlds import KINEMATIC
 from safety_harness.claims.formulas.measures import Measure
 from safety_harness.claims.formulas.signal import Interpolation, at_ticks
 from safety_harness.claims.properties.catalogue import HAND_DISTANCE
-from safety_harness.report.page_parts import PageSection
+from safety_harness.extensions.pages.page_parts import PageSection
 from safety_harness.scenario.codec import Key, QuantityValue
 from safety_harness.scenario.units import LENGTH
 from safety_harness.seams.contract import ControllerOpener, Move
@@ -62,7 +62,9 @@ class ToyDistance(type(HAND_DISTANCE.prop)):
 
 
 ToyDistance.__name__ = "ToyDistance"
-CLAIM = replace(HAND_DISTANCE, prop=ToyDistance(**vars(HAND_DISTANCE.prop)), pattern="", make=None)
+NAMES = [field.name for field in fields(HAND_DISTANCE.prop) if field.init]
+VALUES = {name: getattr(HAND_DISTANCE.prop, name) for name in NAMES}
+CLAIM = replace(HAND_DISTANCE, prop=ToyDistance(**VALUES), pattern="", make=None)
 TOY_WORLD = replace(KINEMATIC, name="toy", label="toy")
 FALSE_REFERENCE = replace(KINEMATIC, name="mine", label="PyBullet", model_only=False)
 
@@ -125,6 +127,28 @@ HEIGHTS = of_runs(lambda run: [("least & last", f"{1e3 * least_height(run.trace)
 EVIDENCE = of_runs(lambda evidence: [("claims", len(evidence.claims))], page="evidence")
 NO_ROWS, FAILING = of_runs(lambda run: []), of_runs(fails)
 '''
+PAGES = """
+from safety_harness.admission.admit import Admitter
+from safety_harness.search.counterexample import Explanation
+
+
+def write(path, runs, **about):
+    path.write_text(f"a page of {len(runs)} runs")
+
+
+class Explains:
+    def __init__(self, world):
+        self.admitter = Admitter()
+
+    def explain(self, scenario, claim, allowance=None, *, confirms=True):
+        return Explanation(("whose fault: the wheels",), ("wheels",))
+
+    def of_search(self, session):
+        return None
+
+    def answers(self, shown):
+        return {written.path.name: {"answer": "wheels"} for written in shown}
+"""
 SHORT = """
 scenario: short
 duration: 0.2 s
@@ -182,6 +206,10 @@ toy = toy:as_text
 toy_height = toy:least_height
 toy_broken = toy:fails
 seed = toy:least_height
+[safety_harness.pages]
+runs = toy_pages:write
+[safety_harness.explainers]
+attribution = toy_pages:Explains
 [safety_harness.page_sections]
 toy = toy:HEIGHTS
 evidence = toy:EVIDENCE
@@ -193,6 +221,7 @@ failing = toy:FAILING
 def install(folder: Path) -> Path:
     """Make of a folder the installation of the toy; ``called`` finds it there."""
     (folder / "toy.py").write_text(TOY)
+    (folder / "toy_pages.py").write_text(PAGES)
     info = folder / "toy-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: toy\nVersion: 1.0\n")

@@ -10,9 +10,9 @@ from markupsafe import Markup
 from safety_harness.base.whole_file import write_whole
 from safety_harness.cell.simulation.worlds import PYBULLET
 from safety_harness.claims.properties.tally import basis
+from safety_harness.extensions.pages.page_parts import render_page
+from safety_harness.extensions.pages.replay import Replays
 from safety_harness.report.evidence import JudgedRun
-from safety_harness.report.page_parts import render_page
-from safety_harness.report.replay import Replays
 from safety_harness.report.words import with_minus
 from safety_harness_paper.choices import CHOICES
 from safety_harness_paper.document import About, comparison_words
@@ -73,7 +73,7 @@ def _drawings(result: Result) -> list[tuple[Markup, str]]:
     beside = side_by_side(result.comparisons, prefix=f"{result.name}-beside-", title=result.title)
     if beside:
         caption = (
-            "Our means with 95 % intervals, divided by the paper's figures: on the line they are the same."
+            "Our means with 95 % intervals, divided by the paper's figures. On the line, both are equal."
         )
         drawn.append((Markup(beside), caption))
     for number, plot in enumerate(result.plots):

@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from safety_harness.report.axes import Axes, Picture, Share
-from safety_harness.report.svg import DASHES, Ink
+from safety_harness.extensions.pages.axes import Axes, Picture, Share
+from safety_harness.extensions.pages.svg import DASHES, Ink
 from safety_harness_paper.result import FigureComparison, Panel, Plot
 
 WIDTH_PX, PANEL_PX, TOP_PX, GAP_PX, LEFT_PX, RIGHT_PX = 760.0, 190.0, 40.0, 88.0, 76.0, 16.0

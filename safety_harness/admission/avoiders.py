@@ -21,9 +21,7 @@ from safety_harness.base.exceptions import InadmissibleError, Place, TraceError,
 from safety_harness.base.settings import DEFAULTS, Settings
 from safety_harness.base.shipped.contents import is_shipped, located
 from safety_harness.cell.avoidance.avoider import Avoider
-from safety_harness.cell.avoidance.isolation.isolated import isolated_avoider, isolated_onnx
 from safety_harness.cell.avoidance.model_file import LARGEST_BYTES, refuse_foreign_cell
-from safety_harness.cell.avoidance.python_file import refuse_undefined
 from safety_harness.cell.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.cell.avoidance.simple import NearestCandidate, OppositePose
 from safety_harness.cell.simulation.worlds import world_option
@@ -129,10 +127,14 @@ def resolve_avoider(scenario: Scenario, place: Place | None = None) -> Avoider:
         return OppositePose(settings.avoidance.radius_m) if opposite else NearestCandidate.for_cell(settings)
     name = file_and_name(reference)[1]
     if names_onnx(reference):
+        from safety_harness.cell.avoidance.isolation.isolated import isolated_onnx
+
         avoider = isolated_onnx(path, settings, name)
         _refuse_foreign_onnx(path, settings)
         return avoider
     if name:
+        from safety_harness.cell.avoidance.isolation.isolated import isolated_avoider
+
         return isolated_avoider(path, name, place)
     return _from_model_file(path, settings)
 
@@ -148,6 +150,8 @@ def refuse_unusable(scenario: Scenario, place: Place | None = None) -> None:
     if path is not None and names_onnx(scenario.avoider):
         _refuse_foreign_onnx(path, scenario.settings)
     elif path is not None and name:
+        from safety_harness.cell.avoidance.python_file import refuse_undefined
+
         refuse_undefined(path, name, place)
     else:
         resolve_avoider(scenario, place)

@@ -24,12 +24,14 @@ def reference_for(tested: str | None, reference: str | None) -> str | None:
     result is also a ``Driver`` if the tested system is a driver and no avoider has the name ``reference``.
     UNFILTERED is returned unchanged. Raise InadmissibleError if ``reference`` is the tested system itself.
     """
+    if reference is None:
+        return None
     from safety_harness.cell.controller.named import NAMES as CONTROLLERS  # slow, and few commands need it
 
-    driver = reference in CONTROLLERS or names_a_program(reference or "")
+    driver = reference in CONTROLLERS or names_a_program(reference)
     driver |= isinstance(tested, Driver) and reference not in (*NAMES, UNFILTERED)
     refuse_itself(tested, reference)
-    return Driver(reference) if driver and reference is not None else reference
+    return Driver(reference) if driver else reference
 
 
 def refuse_itself(tested: str | None, reference: str | None, option: str = "--against") -> None:

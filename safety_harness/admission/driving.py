@@ -13,13 +13,7 @@ from safety_harness.admission.avoiders import BESIDE, avoider_sha256, folder_of,
 from safety_harness.base.exceptions import AvoiderError, ControllerError, InadmissibleError, Place, TraceError
 from safety_harness.base.settings import ImageSource
 from safety_harness.cell.avoidance.avoider import Avoider, Proposal, Vector
-from safety_harness.cell.controller.named import (
-    controller_of,
-    controller_sha256,
-    refuse_unusable_controller,
-)
 from safety_harness.cell.controller.predicting import KALMAN_FILTER, KalmanFilter
-from safety_harness.cell.controller.python_file import checked_controller
 from safety_harness.cell.robot.robots import urdf_sha256_of
 from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN, AvoiderSilent
 from safety_harness.scenario.model import NO_AVOIDER, Scenario
@@ -160,6 +154,8 @@ class Drivers:
 
     def _made_of(self, key: tuple[str, Path | None], place: Place) -> MadeDriver:
         """Create and return the controller or filter for a reference and a folder."""
+        from safety_harness.cell.controller.named import controller_of, controller_sha256
+
         make = controller_of(*key, place)
         self._made[key] = MadeDriver(make(), make, controller_sha256(*key))
         return self._made[key]
@@ -179,12 +175,16 @@ def driver_of(controller: object) -> MadeDriver:
     if isinstance(controller, type):
         hint = f"{controller.__name__}() makes one"
         raise InadmissibleError(place=place, expected="an object", got="a class", hint=hint)
+    from safety_harness.cell.controller.python_file import checked_controller
+
     made = checked_controller(controller, type(controller).__name__, place)
     return MadeDriver(made, lambda: made)
 
 
 def refuse_unusable_driver(scenario: Scenario) -> None:
     """Raise those errors of ``Drivers`` that can be detected without executing user code."""
+    from safety_harness.cell.controller.named import refuse_unusable_controller
+
     refuse_unusable_controller(scenario.controller, folder_of(scenario), scenario.place("controller"))
 
 
@@ -204,6 +204,8 @@ def _refuse_no_program(scenario: Scenario, reference: str, forms: str, place: Pl
 
     ``forms`` states further allowed references, for the error message.
     """
+    from safety_harness.cell.controller.named import refuse_unusable_controller
+
     if not is_a_program(reference):
         expected = f"{forms}FILE.py:NAME, exec:COMMAND, tcp:HOST:PORT or unix:PATH"
         hint = f"name the class in it as well: {reference}:NAME" if reference.endswith(".py") else ""
@@ -233,6 +235,8 @@ def refuse_other_parts(trace: Trace, scenario: Scenario, file: Path | None = Non
         file: The file of the trace, for the error.
 
     """
+    from safety_harness.cell.controller.named import controller_sha256
+
     for name in BESIDE:
         then, reference = trace.system.parts.get(name), getattr(scenario, name)
         if then is None or not is_a_program(reference):
@@ -252,6 +256,8 @@ def named_system(scenario: Scenario) -> SystemUnderTest:
 
     The function creates no avoider and no controller.  A file appears under its name, without its folder.
     """
+    from safety_harness.cell.controller.named import controller_sha256
+
     called = _called(scenario.under_test)
     if scenario.driven:
         sha256 = controller_sha256(scenario.controller, folder_of(scenario))

@@ -35,7 +35,7 @@ from safety_harness.cell.avoidance.asking import (
 )
 from safety_harness.cell.avoidance.avoider import Avoider, shown_to
 from safety_harness.cell.avoidance.flaky import Asked, asked_in, difference
-from safety_harness.cell.avoidance.isolation.isolated import processes_apart
+from safety_harness.cell.avoidance.isolation.apart import processes_apart
 from safety_harness.cell.simulation.worlds import SIMULATOR, is_simulator, world_of_trace
 from safety_harness.scenario.model import Driver, Scenario
 from safety_harness.trace.trace import Trace

@@ -17,7 +17,6 @@ from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.avoiders import executes
 from safety_harness.admission.trial import run_trial
 from safety_harness.base.exceptions import described
-from safety_harness.base.pool import pool
 from safety_harness.cell.simulation.worlds import WorldEntry, world_named
 from safety_harness.scenario.model import Scenario
 from safety_harness.trace.trace import Trace
@@ -85,6 +84,8 @@ def run_processes(
     if jobs < 2 or len(movable) < FEWEST_RUNS:
         yield RunProcesses(world)
         return
+    from safety_harness.base.pool import pool
+
     try:
         with pool(jobs) as executor:
             yield RunProcesses(world, executor, jobs, movable)

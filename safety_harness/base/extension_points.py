@@ -59,7 +59,12 @@ class ExtensionPoint(StrEnum):
     LEDGER_COLUMNS = "safety_harness.ledger_columns"
     """``Callable[[Trace], float]``: a number of an episode, which a campaign's ledger keeps in a column."""
     PAGE_SECTIONS = "safety_harness.page_sections"
-    """``report.page_parts.PageSection``: a table on the page of runs or of evidence."""
+    """``extensions.pages.page_parts.PageSection``: a table on the page of runs or of evidence."""
+    PAGES = "safety_harness.pages"
+    """``Callable``: writes the page or picture of a job's result; its name is ``runs``, ``fuzz`` or
+    ``attribution``."""
+    EXPLAINERS = "safety_harness.explainers"
+    """``type[search.explaining.SearchExplainer]``: explains the violations that a search finds."""
     WARMING = "safety_harness.warming"
     """``Callable[[], None]``: makes the machine code that a package needs, for ``warm``."""
 
@@ -228,6 +233,12 @@ def names_of(point: ExtensionPoint) -> frozenset[str]:
     return frozenset(part.name for part in parts(point))
 
 
+def optional_part(point: ExtensionPoint, name: str, kind: type[_Part]) -> _Part | None:
+    """Return the part named ``name`` of the type ``kind``, or None if no package adds a usable one."""
+    usable = (load(part, kind) for part in parts(point) if part.name == name)
+    return next((part for part in usable if part is not None), None)
+
+
 @lru_cache
 def part_named(point: ExtensionPoint, name: str, kind: type[_Part]) -> _Part:
     """Return the part named ``name``.
@@ -241,9 +252,8 @@ def part_named(point: ExtensionPoint, name: str, kind: type[_Part]) -> _Part:
         MissingPackageError: No package adds a usable part of that name.
 
     """
-    for part in parts(point):
-        if part.name == name and (usable := load(part, kind)) is not None:
-            return usable
+    if (usable := optional_part(point, name, kind)) is not None:
+        return usable
     expected = f"a package that adds the entry point {name} to {point}"
     hint = f"pip install --force-reinstall {DISTRIBUTION}, or the package that added it"
     got = "an entry point that does not load" if name in names_of(point) else "no such entry point"
@@ -283,9 +293,11 @@ class Registry(list[_Part]):
                     self.append(part)
 
     def __iter__(self) -> Iterator[_Part]:
-        """Iterate over all parts."""
+        """Iterate over all parts; load the added parts only if the iteration goes on after the core's own."""
+        own = list.__len__(self)
+        yield from (list.__getitem__(self, k) for k in range(own))
         self._complete()
-        return super().__iter__()
+        yield from (list.__getitem__(self, k) for k in range(own, list.__len__(self)))
 
     def __len__(self) -> int:
         """Count all parts."""

@@ -14,7 +14,11 @@ from types import ModuleType
 
 PACKAGE = "safety_harness"
 MOVED = {
-    "attribution.attribute": "search.attribution.attribute",
+    "attribution.attribute": "extensions.attribution.attribute",
+    "report.html": "extensions.pages.run_page",
+    "report.page_parts": "extensions.pages.page_parts",
+    "search.attribution": "extensions.attribution",
+    "search.attribution.attribute": "extensions.attribution.attribute",
     "avoidance.avoider": "cell.avoidance.avoider",
     "avoidance.model_file": "cell.avoidance.model_file",
     "controller.contract": "seams.contract",
@@ -34,7 +38,11 @@ MOVED = {
     "settings": "base.settings",
     "simulation.worlds": "cell.simulation.worlds",
 }
-_TOPS = {name.partition(".")[0] for name in MOVED} - {"claims"}  # that package still exists
+_TOPS = {name.partition(".")[0] for name in MOVED} - {
+    "claims",
+    "report",
+    "search",
+}  # these packages still exist
 
 
 class _FromNewPlace(Loader):

@@ -26,16 +26,20 @@ from safety_harness.cli.console import (
     result,
     say,
 )
-from safety_harness.cli.fuzz import commands as of_search
 from safety_harness.cli.help_text import lay_out_help
-from safety_harness.cli.machine import commands as of_machine
-from safety_harness.cli.new import commands as of_new
-from safety_harness.cli.scenario_commands import commands as of_scenarios
-from safety_harness.cli.shipped import commands as of_shipped
 from safety_harness.report.compile_ahead import SecondProcess
 
 NAME = "safety-harness"
-CORE = (of_new, of_scenarios, of_search, of_shipped, of_machine)
+# The commands of the core by the modules of ``cli``; a module is imported when one of its commands is used.
+CORE = {
+    "new": ("new",),
+    "scenario_commands": (
+        *("run", "validate", "fmt", "explain", "claims", "schema", "replay", "judge", "sample"),
+    ),
+    "fuzz": ("fuzz",),
+    "shipped": ("list", "copy", "docs"),
+    "machine": ("warm", "doctor"),
+}
 # Commands of this distribution by task, in the order of the help; commands of other packages follow.
 TASKS = {
     "The three jobs": ("run", "fuzz", "certify"),
@@ -66,14 +70,14 @@ class _Commands(MutableMapping[str, Any]):
     lists its name but raises KeyError for it.
     """
 
-    def __init__(self, core: MutableMapping[str, Any]) -> None:
-        self._made = {**core}
-        for name, command in core.items():
-            lay_out_help(command).rich_help_panel = TASK_OF[name]
-        self._parts: dict[str, RegisteredPart] = {}
+    def __init__(self) -> None:
+        self._made: dict[str, Any] = {}
+        own = {name: f"{__package__}.{module}:commands" for module, names in CORE.items() for name in names}
+        point = ExtensionPoint.COMMANDS
+        self._parts = {name: RegisteredPart(point, name, value) for name, value in own.items()}
         self._hidden: list[RegisteredPart] = []  # parts whose names are already in use
         for part in parts(ExtensionPoint.COMMANDS):
-            if part.name in (*self._made, *self._parts):
+            if part.name in self._parts:
                 self._hidden.append(part)
             else:
                 self._parts[part.name] = part
@@ -127,7 +131,7 @@ class _Group(TyperGroup):
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
-        self.commands = self._lazy = _Commands(self.commands)
+        self.commands = self._lazy = _Commands()
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names of all commands, and warn of commands whose names are already in use."""
@@ -171,8 +175,6 @@ app = typer.Typer(
     help="Verify a hand-avoidance controller of a robot arm: run and judge scenarios, search for "
     "violations, and write the evidence as a report.",
 )
-for _core in CORE:
-    app.add_typer(_core)
 
 
 def _say_version(requested: bool) -> None:

@@ -30,7 +30,7 @@ from safety_harness.report.judge_job import A_CLAIM, judged_run, write_judged
 from safety_harness.report.knowledge import measured_lines, unmeasured_words
 from safety_harness.report.machine import refused_data, run_data
 from safety_harness.report.run_job import watching_runs
-from safety_harness.report.run_result import DATA, REPORT
+from safety_harness.report.run_result import report_line
 from safety_harness.report.verdict_lines import every_line
 from safety_harness.scenario.model import VISUAL_SERVO
 from safety_harness.scenario.references import file_and_name
@@ -188,7 +188,7 @@ def judge_again(
     result(*[answer(runs)] * (len(runs) > 1))
     if out is not None and runs:
         write_judged(runs, refused, out, paths)
-        say(f"report: {out / REPORT} (for programs: {DATA})")
+        say(report_line(out))
     if unmeasured := unmeasured_words(evaluations):
         say(f"inconclusive of {len(evaluations)} claims: {unmeasured}")
     if refused:

@@ -35,7 +35,7 @@ from safety_harness.report.decisions import (
 )
 from safety_harness.report.evidence import JudgedRun, answer
 from safety_harness.report.run_job import run as run_scenarios
-from safety_harness.report.run_result import DATA, REPORT, TRACES, RunResult
+from safety_harness.report.run_result import DATA, TRACES, RunResult, report_line
 from safety_harness.report.shielding import shield_lines
 from safety_harness.report.verdict_lines import block_of, surprise_lines
 from safety_harness.scenario.model import Verdict
@@ -79,7 +79,7 @@ def run(
         document(**json.loads((out / DATA).read_text("utf-8")), failed=finished.failed)
     _print_summary(finished, verbose)
     if finished.runs:
-        say(f"report: {out / REPORT} (for programs: {DATA})")
+        say(report_line(out))
         _say_next(finished.runs, out)
     return finished.exit_code
 

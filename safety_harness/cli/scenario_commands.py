@@ -9,8 +9,6 @@ from typer import Argument, Option, Typer
 
 from safety_harness.cli.console import AS_EXPECTED, verbatim
 from safety_harness.cli.options import (
-    AttributionOut,
-    Confirm,
     Files,
     KeepGoing,
     OfAvoider,
@@ -18,7 +16,6 @@ from safety_harness.cli.options import (
     OfFilter,
     OfPredictor,
     OfReference,
-    OfReplays,
     OfSpace,
     OfWorld,
     OfWorldAgain,
@@ -285,61 +282,6 @@ def judge(
     return judge_again(traces, claim or (), keep_going=keep_going, out=out, verbose=verbose)
 
 
-@command(commands, interrupted="interrupted: nothing was written")
-def view(
-    trace: Annotated[
-        Path,
-        Argument(help="A trace of an earlier run, or the description of a log (LOG.yaml).", metavar="TRACE"),
-    ],
-    second: Annotated[
-        Path | None,
-        Argument(help="A second trace or log, shown beside the first at the same times.", metavar="TRACE"),
-    ] = None,
-    out: Annotated[
-        Path | None, Option(help="The HTML page to write. Default: reports/view/NAME.html.")
-    ] = None,
-    opens: Annotated[bool, Option("--open/--no-open", help="Open the page in the browser.")] = True,
-) -> int:
-    """Show a stored run in 3-D, or two runs side by side.
-
-    The command writes one HTML page and opens it. Useful pairs are an avoider and its reference, a run with a
-    shield and a run without it, or a simulated and a recorded run. The command judges the claims again, but
-    it does not simulate and executes no program. For a log, the page leaves out the parts that were not
-    measured, and lists them.
-
-    Exit code 0: the page is written.
-    Exit code 2: the trace or log cannot be read.
-    Exit code 130: interrupted.
-    """
-    from safety_harness.cli.view import view as view_runs
-
-    return view_runs([trace] if second is None else [trace, second], out, opens=opens)
-
-
-@command(commands, interrupted="interrupted: this picture and those after it were not drawn")
-def show(
-    files: Annotated[
-        list[Path], Argument(help="Scenario files, spaces, suites or folders.", metavar="FILE...")
-    ],
-    out: Annotated[
-        Path, Option(help="Folder for the pictures (SVG), or an SVG file for a single picture.")
-    ] = Path("reports/show"),
-    draws: Annotated[int, Option(help="Number of draws in the picture of a space.", min=1)] = 200,
-    seed: Seed = 0,
-) -> int:
-    """Draw the scenarios of a file without running them.
-
-    The picture shows the hands, the TCP start, the regions and the camera's view.
-
-    Exit code 0: all pictures are drawn.
-    Exit code 2: bad input.
-    Exit code 130: interrupted.
-    """
-    from safety_harness.cli.show import show as show_files
-
-    return show_files(files, out=out, draws=draws, seed=seed)
-
-
 @command(
     commands,
     interrupted="interrupted: the files that were written are kept",
@@ -360,49 +302,6 @@ def sample(
     Exit code 2: bad input, or a space with almost no admissible draw.
     Exit code 130: interrupted.
     """
-    from safety_harness.cli.show import sample as sample_space
+    from safety_harness.cli.sample import sample as sample_space
 
     return sample_space(space, out=out, count=count, seed=seed)
-
-
-@command(commands, interrupted="interrupted before anything was attributed")
-def attribute(
-    runs: Annotated[
-        list[Path],
-        Argument(
-            help="Scenario files (for example, the files that fuzz writes), traces, or folders with such "
-            "files.",
-            metavar="RUN...",
-        ),
-    ],
-    avoider: OfAvoider = None,
-    controller: OfController = None,
-    safety_filter: OfFilter = None,
-    predictor: OfPredictor = None,
-    out: AttributionOut = None,
-    confirm: Confirm = False,
-    world: OfReplays = None,
-) -> int:
-    """Find the part of the system that caused each violation.
-
-    The command repeats the run with one ingredient of the system changed, and then with two. The ingredients
-    are the avoider, its deadline, perception, drives and brakes, the servoing camera, prediction, the gate,
-    the fallback, the critical distance, and the speed of the hand, which the command halves. If no arm could
-    have avoided a violation, the command reports the violation as unavoidable. For a controller other than
-    the visual servo, the command leaves out the ingredients that this controller does not have.
-
-    From a trace, the command attributes all violations. From a scenario file, it attributes all violations of
-    the unchanged replay. The replays run in the kinematic world, or in the world of --world. If the run of a
-    trace used a program, you must pass the program again.
-
-    Exit code 0: for each violation, the command found a cause, or the answer "unavoidable" or "helped by
-    nothing tried".
-    Exit code 1: the unchanged replay fails, or does not show a violation.
-    Exit code 2: bad input; the command repeated no run.
-    Exit code 130: interrupted.
-    """
-    from safety_harness.admission.avoiders import one_of
-    from safety_harness.cli.attribute import attribute_runs
-
-    beside = {"safety_filter": safety_filter, "predictor": predictor}
-    return attribute_runs(runs, one_of(avoider, controller), out, confirm, world, **beside)

@@ -90,7 +90,7 @@ def run(
 
     """
     if mcap:
-        LOGS.require("--mcap")
+        replace(LOGS, instead="").require("--mcap")  # a run is not written as .csv
         part_named(ExtensionPoint.RUN_FORMATS, "mcap", FunctionType)
     chosen = world_named(world, "world") if isinstance(world, str) else world or default_world()
     if world is None and chosen is not REFERENCE:

@@ -14,7 +14,7 @@ from safety_harness.admission.avoiders import as_seen_from, replay_command
 from safety_harness.admission.repeatability import RepeatabilityResult
 from safety_harness.admission.taking import Incompatible
 from safety_harness.base.exceptions import InputError, OutputError
-from safety_harness.base.extension_points import ExtensionPoint, part_named
+from safety_harness.base.extension_points import ExtensionPoint, optional_part, part_named
 from safety_harness.base.interrupts import one_more_ctrl_c
 from safety_harness.base.output import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED, QUIET, Output
 from safety_harness.base.whole_file import write_text, writing
@@ -217,21 +217,32 @@ def write_files(out: Path, runs: Sequence[JudgedRun], *, title: str, command: st
         runs: The judged runs.
         title: The title of the page.
         command: The command line that the page shows.
-        of_all: Additional arguments for ``write_report`` and ``report_data``.
+        of_all: Additional arguments for ``write_page`` and ``report_data``.
 
     Raises:
         OutputError: The folder cannot be written.
 
     """
     from safety_harness.report.ci_formats import write_for_ci
-    from safety_harness.report.html import write_report
     from safety_harness.report.machine import report_data, write_json
 
     with writing(out / REPORT):
         now = datetime.now(UTC)
-        write_report(out / REPORT, runs, title=title, command=command, generated_at=now, **of_all)
+        write_page(out / REPORT, runs, title=title, command=command, generated_at=now, **of_all)
         write_json(out / DATA, report_data(runs, **of_all))
         write_for_ci(out, runs)
+
+
+def report_line(folder: Path) -> str:
+    """Return a line that names the page in ``folder``, or its JSON file if no package draws pages."""
+    page = folder / REPORT
+    return f"report: {page} (for programs: {DATA})" if page.exists() else f"report: {folder / DATA}"
+
+
+def write_page(path: Path, runs: Sequence[JudgedRun], **of_all: Any) -> None:
+    """Write the page of runs, if a package draws pages; see ``safety_harness.write_report``."""
+    if (draw := optional_part(ExtensionPoint.PAGES, "runs", FunctionType)) is not None:
+        draw(path, runs, **of_all)
 
 
 def saved(trace: Trace, folder: Path, recordings: Mapping[str, bytes] | None = None) -> Path:

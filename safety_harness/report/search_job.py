@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from math import isfinite
 from pathlib import Path
+from types import FunctionType
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.agreement import measured_agreement
@@ -22,6 +23,7 @@ from safety_harness.base.exceptions import (
     ScenarioError,
     SimulationError,
 )
+from safety_harness.base.extension_points import ExtensionPoint, optional_part
 from safety_harness.base.interrupts import one_more_ctrl_c
 from safety_harness.base.output import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED, QUIET, Output
 from safety_harness.base.whole_file import write_text
@@ -29,31 +31,24 @@ from safety_harness.cell.simulation.worlds import KINEMATIC, WorldEntry, world_n
 from safety_harness.claims.properties.against import Against
 from safety_harness.claims.properties.answered import fallback_words
 from safety_harness.report.decisions import cost_words
-from safety_harness.report.page_parts import asset
-from safety_harness.report.search_attribution import SearchAttribution
-from safety_harness.report.search_page import SearchEvidence, map_of, render
-from safety_harness.report.svg import standalone
+from safety_harness.report.search_evidence import SearchEvidence
 from safety_harness.scenario.files import display_path
 from safety_harness.scenario.model import Driver
 from safety_harness.search.against import Reference
-from safety_harness.search.attribution.tally import as_json_of
+from safety_harness.search.counterexample import unexplained
+from safety_harness.search.explaining import SearchExplainer
 from safety_harness.search.findings import Findings, Goal, Group
+from safety_harness.search.result_lines import basis_of_search
 from safety_harness.search.sampling import UniformSampling
 from safety_harness.search.searchers import searcher_named
-from safety_harness.search.session import (
-    FINDINGS,
-    SearchSession,
-    WrittenCounterexample,
-    basis_of_search,
-    complaint_of,
-    search_space,
-)
+from safety_harness.search.session import FINDINGS, SearchSession, complaint_of, search_space
 from safety_harness.search.trials import InWorld, Trials
+from safety_harness.search.written import WrittenCounterexample
 from safety_harness.space.read import read_space
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.trace.provenance import provenance
 
-PAGE, COVERAGE = "fuzz.html", "coverage.svg"
+PAGE = "fuzz.html"
 EXPLAIN = ("causes", "all")
 
 
@@ -114,7 +109,8 @@ def fuzz(
     # Learn that a simulator does not start before the search, and not from its first run.
     if searched is not KINEMATIC:
         _refuse_unusable(searched, read)
-    attribution = SearchAttribution(searched)
+    make_explainer = optional_part(ExtensionPoint.EXPLAINERS, "attribution", type)
+    explainer: SearchExplainer | None = None if make_explainer is None else make_explainer(searched)
     session = search_space(
         Trials(
             read,
@@ -129,14 +125,14 @@ def fuzz(
         budget=budget,
         output=output,
         baseline=baseline,
-        explain=attribution.explain,
+        explain=unexplained if explainer is None else explainer.explain,
         explains_all=explain == "all",
-        admitter=attribution.admitter,
+        admitter=None if explainer is None else explainer.admitter,
         concluding=_write_interim,
     )
     if session.unwritable is not None:
         return SearchResult(session, None, session.interrupted, session.unwritable)
-    evidence = evidence_of(session, attribution)
+    evidence = evidence_of(session, explainer)
     if evidence.faults is not None:
         output.say(evidence.faults.summary)
     if session.trials.times.summary:
@@ -240,9 +236,10 @@ class SearchResult:
         made = replace(self, session=session, evidence=evidence)
         with one_more_ctrl_c(output.say, f"writing {out / PAGE}; Ctrl-C once more gives it up") as given_up:
             write_text(out / FINDINGS, json.dumps(made.data(), indent=1) + "\n")
-            write_text(out / COVERAGE, standalone(map_of(evidence), style=asset("report.css")))
-            write_text(out / PAGE, render(evidence))
-        output.say(f"page: {out / PAGE} (for programs: {FINDINGS})")
+            drawn = _write_page(out, evidence, finished=True)
+        output.say(
+            f"page: {out / PAGE} (for programs: {FINDINGS})" if drawn else f"findings: {out / FINDINGS}"
+        )
         return replace(made, interrupted=self.interrupted or given_up())
 
     def kept(self, folder: Path, output: Output) -> SearchResult:
@@ -270,17 +267,25 @@ def _write_interim(session: SearchSession) -> None:
         unfinished = copy(session.findings)
         unfinished.interrupted = True  # the page says so unless a later page replaces it
         try:
-            write_text(session.out / PAGE, render(replace(evidence_of(session), findings=unfinished)))
+            evidence = replace(evidence_of(session), findings=unfinished)
+            _write_page(session.out, evidence, finished=False)
         except OutputError as error:
             session.unwritable = error
 
 
-def evidence_of(session: SearchSession, attribution: SearchAttribution | None = None) -> SearchEvidence:
+def _write_page(folder: Path, evidence: SearchEvidence, *, finished: bool) -> bool:
+    """Write the search's page, and return False if no package draws pages."""
+    if (draw := optional_part(ExtensionPoint.PAGES, "fuzz", FunctionType)) is not None:
+        draw(folder, evidence, finished=finished)
+    return draw is not None
+
+
+def evidence_of(session: SearchSession, explainer: SearchExplainer | None = None) -> SearchEvidence:
     """Return everything that the search's page shows."""
     trials = session.trials
     tested = trials.avoider or trials.space.simplest.under_test
     cost = cost_words(trials.space.simplest.settings.avoidance.decision_time, trials.declared_s)
-    faults = None if attribution is None else attribution.of_search(session)
+    faults = None if explainer is None else explainer.of_search(session)
     return SearchEvidence(
         title=trials.space.title,
         space=trials.space.name,
@@ -308,11 +313,7 @@ def evidence_of(session: SearchSession, attribution: SearchAttribution | None = 
         unconfirmed=tuple(session.unconfirmed),
         not_found=tuple(session.not_found),
         faults=faults,
-        attributed={
-            shown.path.name: attribution.found[shown.path.stem]
-            for shown in session.written
-            if attribution is not None and attribution.explains(shown)
-        },
+        attributed={} if explainer is None else explainer.answers(session.written),
         nearest_hand_m=trials.nearest_hand_m,
         agreement=measured_agreement(),
         system=trials.system,
@@ -388,9 +389,7 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
         "counted": evidence.causes.summary,
         "causes": evidence.causes.explained,
         "examples_not_explained": evidence.causes.not_explained,
-        "attribution_of_counterexamples": {
-            name: as_json_of(attribution) for name, attribution in evidence.attributed.items()
-        },
+        "attribution_of_counterexamples": evidence.attributed,
         "attribution": None if evidence.faults is None else evidence.faults.as_json(),
         "coverage": {str(cell): count for cell, count in sorted(trials.coverage.counts.items())},
         "violations_by_cell": {str(cell): count for cell, count in sorted(trials.violations.counts.items())},

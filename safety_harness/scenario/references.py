@@ -13,6 +13,7 @@ from safety_harness.base.shipped.contents import is_installed, is_shipped, locat
 from safety_harness.scenario.files import resolved
 
 MODEL_SUFFIX, ONNX_SUFFIX = ".safetensors", ".onnx"
+LEARNED = "learned policy"  # the shipped controller that is an ONNX file
 EXEC, TCP, UNIX = "exec:", "tcp:", "unix:"  # of a controller: a program that is started, or that listens
 
 OWN_WAYS = ("exec", "tcp", "unix", "shipped")

@@ -39,7 +39,6 @@ from safety_harness.scenario.files import read_bytes
 from safety_harness.scenario.nodes import Scalar, parse_tree
 from safety_harness.scenario.references import seen_from
 from safety_harness.scenario.units import ANGULAR_SPEED, FRACTION, LENGTH, MASS, TIME, TIME_PER_SPEED, TORQUE
-from safety_harness.scenario.urdf_packages import urdf_of_package
 
 MAX_URDF_BYTES = 20_000_000  # a limit of the memory, as the next number; a choice
 MAX_CAPSULES_BYTES = 4_000_000
@@ -558,6 +557,8 @@ def _urdf(given: Fields, carried: Mapping[str, bytes]) -> Path:
     text = package.sentence("the name of a URDF in an installed package")
     digest = given.optional("urdf sha256")
     try:
+        from safety_harness.scenario.urdf_packages import urdf_of_package
+
         return urdf_of_package(text, package.place)
     except ScenarioError:
         if digest and _sha256(digest) in carried:

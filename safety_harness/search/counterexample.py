@@ -1,7 +1,7 @@
 """Confirm, shrink and explain a violation, and write it as a scenario file.
 
 The comments in the file contain the evidence. An explanation has two sources: the replays with changes that
-``search.attribution`` makes, and the decisions of the run.
+``extensions.attribution`` makes, and the decisions of the run.
 """
 
 from __future__ import annotations

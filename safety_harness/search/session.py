@@ -10,13 +10,11 @@ from __future__ import annotations
 import re
 import shlex
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
-
-import numpy as np
 
 from safety_harness.admission.admit import Admitter
 from safety_harness.admission.avoiders import as_seen_from
@@ -28,11 +26,9 @@ from safety_harness.base.output import Output, where
 from safety_harness.base.seeds import Branch
 from safety_harness.base.seeds import seed as leaf
 from safety_harness.base.whole_file import write_text, writing
-from safety_harness.cell.simulation.worlds import KINEMATIC, REFERENCE, WorldEntry, references
-from safety_harness.claims.properties.against import Against
+from safety_harness.cell.simulation.worlds import KINEMATIC, WorldEntry, references
 from safety_harness.claims.properties.answered import fallback_words
-from safety_harness.claims.properties.base import Unit, close_to, far_words
-from safety_harness.claims.properties.tally import basis, short_basis
+from safety_harness.claims.properties.tally import short_basis
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.search.confirm import Complaint, Confirm, Disagreement, disagreement_of, physics_of
@@ -50,16 +46,25 @@ from safety_harness.search.coverage import Coverage
 from safety_harness.search.cube import Cube
 from safety_harness.search.findings import RUN_FAILED, Findings, Group, TriedPoint
 from safety_harness.search.redrawn import keep_differences, more_overruled, worse_answers
+from safety_harness.search.result_lines import (
+    basis_of_search,
+    counted,
+    nearest_lines,
+    not_found_words,
+    nothing_confirmed,
+    remarks,
+    summary,
+)
 from safety_harness.search.sampling import UniformSampling
 from safety_harness.search.search import find_violations
 from safety_harness.search.searchers import MakesSearcher
 from safety_harness.search.shrink import SpentError
 from safety_harness.search.trials import InWorld, ScenarioRunner, Trials, world_of
+from safety_harness.search.written import Causes, WrittenCounterexample
 from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
 
 FINDINGS, AS_FOUND = "findings.json", "as-found"
-AS_EXPECTED = " (as the space expects)"
 MOST_SHRUNK = 3  # counterexamples of each claim, and of run errors
 SHRINKING_RUNS = 200  # for each counterexample
 AN_EXAMPLE = 40  # an example costs about as much as so many runs of the space
@@ -69,99 +74,8 @@ LEAST_DRAWN = 300  # pairs of runs anywhere in the space; with fewer, a share of
 _BATCH = 64  # runs that are simulated together
 
 
-def nothing_confirmed(world: WorldEntry) -> str:
-    """Return a sentence which states that no installed reference can confirm findings in ``world``."""
-    lacking = "other reference" if world.reference else f"reference ({REFERENCE})"
-    return f"nothing is confirmed, as no {lacking} is installed: this is {world} alone"
-
-
-def basis_of_search(findings: Findings, world: WorldEntry, confirmed_in: Sequence[str]) -> str:
-    """Return a sentence on the worlds and the runs that produced the findings of a search.
-
-    Args:
-        findings: The findings.
-        world: The searched world.
-        confirmed_in: The worlds that confirm findings. It is empty if no world confirms findings.
-
-    """
-    counts = [(int(runs), findings.tried) for runs in findings.evidence]
-    return basis([str(world), *confirmed_in], counts)
-
-
-def _counted(count: int, noun: str = "violation") -> str:
-    """Return ``count`` with ``noun`` in the singular or plural.
-
-    Here, a violation concerns one claim in one run.
-    """
-    return f"{count:,} {noun}{'s' * (count != 1)}"
-
-
 def _report_at(report: Callable[[str], None], where: str, message: str) -> None:
     report(f"{where}: {message}")
-
-
-@dataclass(frozen=True, eq=False)
-class WrittenCounterexample:
-    """A counterexample that has a file.
-
-    The object has the case, the groups of violations that led to it, the searcher, and the files. All
-    ``groups`` were shrunk to the same structure, and ``searcher`` found the first of them. ``expected`` marks
-    a claim that the space expects to be violated.
-    """
-
-    one: Counterexample
-    groups: list[Group]
-    searcher: str
-    path: Path
-    trace_file: Path | None
-    text: str
-    expected: bool
-
-    @property
-    def lines(self) -> list[str]:
-        """The lines on a counterexample: its claim, margin and cause, and the command that runs the file."""
-        example = self.one
-        margin = "-" if example.evaluation is None else example.evaluation.margin_text()
-        return [
-            f"violated {margin:>13}  {example.complaint.summary}{AS_EXPECTED if self.expected else ''}",
-            f"  {self.found_words}; {example.shrunk.summary}" + f", {example.contact}" * example.shrunk.done,
-            *(f"  {line}" for line in example.circumstances[: example.complaint.reference is not None]),
-            *(f"  {line}" for line in example.attribution),
-            f"  safety-harness run {shlex.quote(str(self.path))}",
-        ]
-
-    @property
-    def found_words(self) -> str:
-        """A text with the number of violations that led to this file.
-
-        The text also states the confirmed margin, and whether a hand touched the arm, before shrinking.
-        """
-        example, count = self.one, sum(group.count for group in self.groups)
-        parts = [f"{_counted(count)} led to it"]
-        if example.evaluation is not None and example.found_margin is not None:
-            parts.append(f"the worst by {example.evaluation.unit.margin_text(example.found_margin)}")
-        return ", ".join([*parts, example.found_contact])
-
-
-@dataclass(frozen=True)
-class Causes:
-    """The causes of a search's violations.
-
-    Each cause has the files of its examples. An example is one group of violations. ``not_explained`` counts
-    the examples without a known cause. ``unasked`` counts the examples without a known cause that the search
-    did not try to explain.
-    """
-
-    explained: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    not_explained: int = 0
-    unasked: int = 0
-
-    @property
-    def summary(self) -> str:
-        """A text with the number of causes and the number of examples without a cause."""
-        explained = f"{_counted(len(self.explained), 'cause')} explained"
-        rest = f"{_counted(self.not_explained, 'example')} not explained{' yet' * bool(self.unasked)}"
-        return f"{explained}, {rest}" if self.not_explained else explained
 
 
 @dataclass(eq=False)
@@ -262,7 +176,7 @@ class SearchSession:
     @property
     def summary(self) -> str:
         """The numbers of causes, violations and runs."""
-        violations = f"{_counted(int(self.findings.violated.sum()))} in {self.findings.tried:,} runs"
+        violations = f"{counted(int(self.findings.violated.sum()))} in {self.findings.tried:,} runs"
         return f"{self.causes.summary}; {violations}" if self.written else violations
 
     @property
@@ -353,7 +267,7 @@ class SearchSession:
         if self.written and self.unconfirmable:
             say(self.unconfirmable)
         if self.confirmed:
-            repeated = f"repeated in {self._confirming_words}: {_counted(self.confirmed, 'finding')}"
+            repeated = f"repeated in {self._confirming_words}: {counted(self.confirmed, 'finding')}"
             say(f"{repeated}; physics had a part in {self.physical}")
         if self.unconfirmed:
             count = f"{len(self.unconfirmed)} findings were not confirmed in {self._confirming_words}"
@@ -772,105 +686,3 @@ def _one_of_each_kind_first(groups: Sequence[Group]) -> list[Group]:
     for group in groups:
         firsts.setdefault(group.kind, group)
     return [*firsts.values(), *(group for group in groups if firsts[group.kind] is not group)]
-
-
-def nearest_lines(findings: Findings) -> list[str]:
-    """Return a line for each claim.
-
-    The line states the least margin, the number of violations and the number of verdicts.
-    """
-    lines = []
-    for claim, goal in enumerate(findings.goals):
-        nearest = findings.nearest[claim]
-        margin = "no margin yet" if nearest is None else goal.margin_text(float(nearest.margins[claim]))
-        kept = f", and kept by {goal.against}," if goal.against else ""
-        counts = f"violated{kept} {findings.violated[claim]} of {findings.evidence[claim]} with a verdict"
-        lines.append(f"  {margin:>14}  {goal.sentence}: {counts}")
-    return lines
-
-
-def not_found_words(findings: Findings) -> str:
-    """Return a sentence on why the search may have missed an expected violation."""
-    return (
-        f"the space expects it to be violated, and of {findings.tried} runs none is known to do so; the "
-        "system does better than the space says, or the budget is too small"
-    )
-
-
-def summary(findings: Findings, budget: int) -> str:
-    """Return a text with the numbers of tried points, refused points, violations and kinds of run errors.
-
-    Args:
-        findings: The findings.
-        budget: The number of runs.
-
-    """
-    mishaps = sum(group.claim is None for group in findings.groups)
-    return (
-        f"tried {findings.tried}/{budget}, refused {findings.refused.total()}, "
-        f"{_counted(int(findings.violated.sum()))}" + (f", {mishaps} kinds of mishap" if mishaps else "")
-    )
-
-
-def against_lines(against: Against, findings: Findings, touching: int, worse: Sequence[str]) -> list[str]:
-    """Return lines on the differences from the reference.
-
-    If there is no finding, the lines also explain the meaning of this result.
-
-    Args:
-        against: The differences.
-        findings: The findings.
-        touching: The number of runs in which a hand touched the arm.
-        worse: Sentences on weaknesses of the avoider compared with the reference.
-
-    """
-    lines = [f"against {against.reference}: {line}" for line in against.lines()]
-    if findings.tried and not (findings.found_any or worse):
-        touch = f"; in {touching} of them a hand touched the arm" if touching else ""
-        lines.append(
-            f"nothing found that {against.reference} does not do as well, in {findings.tried} runs{touch}. A "
-            "search estimates nothing: that is no evidence of safety in the rest of the space"
-        )
-    return lines
-
-
-def remarks(trials: Trials, findings: Findings, worse: Sequence[str] = ()) -> list[str]:
-    """Return remarks that prevent a wrong interpretation of the result.
-
-    The remarks concern refused points, untested claims, untried parts and hands that touched the arm.
-
-    Args:
-        trials: The trials of the search.
-        findings: The findings.
-        worse: Sentences on weaknesses of the avoider compared with the reference.
-
-    """
-    lines = [f"{count} points refused: {reason}" for reason, count in findings.refused.most_common(3)]
-    for claim, goal in enumerate(findings.goals):
-        if trials.of_others[claim]:
-            lines.append(f"not applicable to the controller: {goal.sentence}")
-        elif findings.always_violated(claim):
-            lines.append(f"every run violates {goal.sentence!r}: it is the claim or the space, no corner")
-        elif findings.tried and not findings.evidence[claim]:
-            lines.append(f"no run put {goal.sentence!r} to the test: nothing is known of it")
-        elif (nearest := findings.nearest[claim]) is not None and trials.reference is None:
-            distance = far_words(close_to(trials.properties[claim]), float(nearest.margins[claim]))
-            lines += [f"{goal.sentence}: {distance}"] * bool(distance)
-    lines += trials.tried.lines(trials.space)
-    touching = trials.coverage.touching
-    if np.isfinite(trials.nearest_hand_m):
-        least = Unit.LENGTH.margin_text(trials.nearest_hand_m)
-        lines.append(f"nearest hand: {least}; in {touching} of {findings.tried} runs a hand touched the arm")
-    if trials.against is not None:
-        lines += against_lines(trials.against, findings, touching, worse)
-    elif not findings.found_any and touching:
-        lines.append(
-            "no claim was violated: none here says that a hand must not touch the arm (--claim 'hand "
-            "distance never below 1 mm' searches for that)"
-        )
-    elif not findings.found_any and findings.tried:
-        lines.append(
-            f"nothing found in {findings.tried} runs. A search estimates nothing: that is no evidence of "
-            "safety in the rest of the space"
-        )
-    return lines

@@ -49,6 +49,9 @@ for line in sys.stdin:
 """
 
 
+VIOLATED = SHORT.partition("claims:")[0] + "claims:\n  hand distance never below 2 m: holds\n"
+
+
 class Forking:
     """What does commands and code in processes that have everything loaded."""
 
@@ -332,6 +335,25 @@ def test_the_toys_section_is_on_the_page_of_a_run_and_one_that_fails_is_left_out
     assert "least &amp; last" in page
     assert "run-1-added-1" not in page
     assert "skipped safety_harness.page_sections failing: RuntimeError: no wheels" in done.stderr
+
+
+def test_pages_and_explanations_of_a_package_take_the_place_of_wings_that_are_absent(
+    toy: Path, tmp_path: Path, without_wings: Forking
+) -> None:
+    space = VIOLATED.replace("scenario:", "scenario space:").replace("seed: 1\n", "")
+    (tmp_path / "space.yaml").write_text(space.replace("speed: 1 m/s", "speed: from 0.9 m/s to 1.1 m/s"))
+    for name in ("hand", "other"):
+        (tmp_path / f"{name}.yaml").write_text(VIOLATED)
+    alone = without_wings.called("run", "hand.yaml", "--world", "kinematic", "--out", "a", folder=tmp_path)
+    assert "report: a/report.json" in alone.stderr
+    assert not (tmp_path / "a" / "report.html").exists()
+    with forking(tmp_path, str(toy), first=WITHOUT_WINGS.partition("from safety_harness")[0]) as both:
+        both.called("run", "hand.yaml", "other.yaml", "--world", "kinematic", "--out", "b")
+        searched = both.called("fuzz", "space.yaml", "--budget", "2", "--out", "found")
+    assert (tmp_path / "b" / "report.html").read_text() == "a page of 2 runs"
+    assert "whose fault: the wheels" in searched.stdout, searched.stderr
+    findings = json.loads((tmp_path / "found" / "findings.json").read_text())
+    assert [*findings["attribution_of_counterexamples"].values()] == [{"answer": "wheels"}]
 
 
 @pytest.mark.parametrize(

@@ -57,7 +57,7 @@ def test_a_run_as_expected_ends_with_0_and_leaves_report_and_trace(
     assert re.fullmatch(r"holds  joint speeds within limits  \+\d+\.\d deg/s at 0\.\d+ s", line)
     assert closing == "1 of 1 verdicts as expected (1 hold), 1 of 1 scenarios run"
     assert err.splitlines()[-1].startswith("next: safety-harness view ")
-    assert (tmp_path / "out" / "report.html").read_text().startswith("<!")
+    assert (tmp_path / "out" / "report.json").is_file()
     assert (tmp_path / "out" / "traces" / "good.trace").is_file()
 
 
@@ -214,7 +214,7 @@ def test_ctrl_c_and_signals_alike_keep_what_was_finished(
     assert "stopped before the end" in err
     assert "Traceback" not in err
     assert "1 of 2 verdicts as expected (1 hold, 1 inconclusive), 2 of 2 scenarios run" in out
-    assert (tmp_path / "o" / "report.html").is_file()
+    assert (tmp_path / "o" / "report.json").is_file()
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from safety_harness.admission import run_processes as processes
+from safety_harness.base import pool as base_pool
 from safety_harness.cell.simulation.worlds import KINEMATIC
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED
 from safety_harness.cli.run import run
@@ -78,7 +79,7 @@ def executor(monkeypatch: pytest.MonkeyPatch) -> AtOnce:
 
         return given()
 
-    monkeypatch.setattr(processes, "pool", pool)
+    monkeypatch.setattr(base_pool, "pool", pool)
     return made
 
 

@@ -25,7 +25,7 @@ from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
 from tests.assurance.statistics.streams import violations
-from tests.cli.test_own_controller import command
+from tests.whole.test_own_controller import command
 
 HELD = "predicted sets of at most 400 mm hold each hand that has been there for 200 ms, at a drawn instant"
 PREDICTORS = """

@@ -27,7 +27,7 @@ from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.records import Limit
 from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
-from tests.cli.test_own_controller import command
+from tests.whole.test_own_controller import command
 
 ROOT = Path(__file__).parents[2]
 FLAG = int(Limit.SAFETY_FILTER)

@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from safety_harness.search.session import Causes, SearchSession
+from safety_harness.search.session import SearchSession
+from safety_harness.search.written import Causes
 
 
 def session(

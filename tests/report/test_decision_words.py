@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from datetime import UTC, datetime
 
 import factory
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from page import parse
 
 from safety_harness.report.decisions import (
     MOST_FAULT_NOTES,
@@ -20,8 +18,6 @@ from safety_harness.report.decisions import (
     fault_notes,
     latency_words,
 )
-from safety_harness.report.evidence import JudgedRun
-from safety_harness.report.html import render
 from safety_harness.report.words import CHECK_MEANINGS, failed_words, flag_words, spread_words
 from safety_harness.trace.records import Check, DecisionOutcome
 from safety_harness.trace.trace import Trace
@@ -130,25 +126,3 @@ def test_many_kinds_of_faults_do_not_fill_the_page() -> None:
     found = fault_notes(replace(trace, decisions=decisions))
     assert len(found) == MOST_FAULT_NOTES + 1
     assert found[-1].startswith("and in 35 other ways")
-
-
-def test_the_page_has_the_fault_above_its_decisions_beside_its_own_and_in_the_table_of_verdicts() -> None:
-    run = factory.holds_run()
-    faulty = JudgedRun(changed(fault=["", FAULT, ""]), run.evaluations, "again")
-    page = render(
-        [faulty],
-        title="t",
-        command="c",
-        interrupted=False,
-        generated_at=datetime(2025, 11, 21, tzinfo=UTC),
-    )
-    assert "<b>division</b>" not in page
-    section = parse(page).one("run-1")
-    (note,) = fault_notes(faulty.trace)
-    banners = section.all("div", "banner")
-    assert [note in banner.text for banner in banners] == [True]
-    assert section.all("span", "grave")[0].text == "1 fault"
-    (first, *_) = parse(page).all("table", "verdicts")[0].all("tbody")[0].all("th")
-    assert first.all("span", "grave")[0].text == "1 fault"
-    row = section.all("table", "decisions")[0].all("tbody")[0].all("tr")[1]
-    assert f"fault: {FAULT}" in row.text

@@ -8,7 +8,7 @@ import pytest
 from safety_harness.search.coverage import CoverageCell
 from safety_harness.search.cube import Column, Cube
 from safety_harness.search.findings import Findings, Outcomes
-from safety_harness.search.session import remarks
+from safety_harness.search.result_lines import remarks
 from safety_harness.search.trials import Trials, in_kinematic
 from tests.search.short_space import SHORT
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 from small import shipped
 
+from safety_harness.extensions.attribution.ingredients import Ingredient
 from safety_harness.extensions.selftest.attributed import INGREDIENTS, attribute_seeded
 from safety_harness.extensions.selftest.catalogue import FAULTS
 from safety_harness.extensions.selftest.fault import FaultyPart, SeededFault
 from safety_harness.scenario.model import Claim, Verdict
-from safety_harness.search.attribution.ingredients import Ingredient
 
 
 def named(name: str) -> SeededFault:

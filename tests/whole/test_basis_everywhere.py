@@ -21,7 +21,7 @@ from safety_harness.claims.properties.tally import (
 )
 from safety_harness.cli.fuzz import fuzz
 from safety_harness.cli.main import app
-from safety_harness.cli.scenario_commands import judge, run, view
+from safety_harness.cli.scenario_commands import judge, run
 from safety_harness.extensions.assurance.campaign.identity import Identity
 from safety_harness.extensions.assurance.certification.delta import delta_between
 from safety_harness.extensions.assurance.certification.delta_page import render as delta_page
@@ -30,6 +30,7 @@ from safety_harness.extensions.assurance.certification.page import render as evi
 from safety_harness.extensions.assurance.commands import campaign
 from safety_harness.extensions.assurance.commands.certify import certify, verify
 from safety_harness.extensions.assurance.commands.history import history
+from safety_harness.extensions.pages.commands.drawing import view
 from safety_harness.search import session as search_session
 from tests.assurance.campaign.plans import plan_in
 from tests.assurance.certification.made_up_evidence import evidence

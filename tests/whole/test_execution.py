@@ -153,7 +153,7 @@ def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     shutil.copytree(made, folder, ignore=shutil.ignore_patterns("executed"))
     monkeypatch.chdir(folder)
     monkeypatch.setattr(telling, "executed", {})
-    isolated._connections[0].cache_clear()  # processes that live from a test before
+    isolated._connection.cache_clear()  # processes that live from a test before
     return folder
 
 

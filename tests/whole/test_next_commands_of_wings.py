@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.test_next_commands import TRACE, folder, in_folder, next_words
+from tests.whole.test_next_commands import TRACE, folder, in_folder, next_words
 
 __all__ = ["folder"]  # a fixture
 

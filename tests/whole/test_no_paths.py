@@ -19,7 +19,7 @@ from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.session import plan_of
 from safety_harness.extensions.assurance.certification import whose_fault
 from safety_harness.extensions.assurance.commands.certify import certify
-from safety_harness.report import search_attribution
+from safety_harness.extensions.attribution import search_attribution
 from safety_harness.scenario.files import display_path
 from safety_harness.scenario.references import portable
 from safety_harness.search import session as search_session

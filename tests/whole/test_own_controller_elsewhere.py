@@ -10,7 +10,7 @@ import pytest
 
 from safety_harness.admission import repeatability
 from safety_harness.extensions.assurance.certification import whose_fault
-from tests.cli.test_own_controller import (
+from tests.whole.test_own_controller import (
     MINE_AS_OPTION,
     PLAN,
     VISIT,

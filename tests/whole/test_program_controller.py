@@ -15,7 +15,7 @@ import pytest
 from safety_harness import load_trace
 from safety_harness.admission import repeatability
 from safety_harness.extensions.assurance.certification import whose_fault
-from tests.cli.test_own_controller import MINE, PLAN, SPACE, VISIT, command, search_little_in
+from tests.whole.test_own_controller import MINE, PLAN, SPACE, VISIT, command, search_little_in
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 CLIENT = ("--controller", "exec:./stop_and_go")

@@ -24,13 +24,13 @@ from safety_harness.cell.simulation.worlds import (
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS
 from safety_harness.cli.fuzz import fuzz
 from safety_harness.cli.scenario_commands import run
+from safety_harness.extensions.attribution import search_attribution
 from safety_harness.extensions.worlds.mujoco_entry import MUJOCO
-from safety_harness.report import search_attribution
 from safety_harness.scenario.read import read_scenario
 from safety_harness.search import session as search_session
 from safety_harness.search.confirm import physics_of
-from tests.cell.simulation.test_without_pybullet import SHORT
 from tests.search.short_space import TEXT
+from tests.whole.test_without_pybullet import SHORT
 
 
 @pytest.fixture

@@ -12,17 +12,13 @@ from safety_harness.base.exceptions import InadmissibleError, Place, described, 
 from safety_harness.base.extension_points import ExtensionPoint, part_named
 from safety_harness.base.extras import ONNX
 from safety_harness.base.shipped.contents import located
-from safety_harness.cell.controller.out_of_process.references import (
-    of_file,
-    of_program,
-    program_sha256,
-)
 from safety_harness.cell.controller.python_file import HINT, METHODS, checked_controller
 from safety_harness.cell.controller.stop_when_near import StopWhenNear
 from safety_harness.scenario.files import resolved
 from safety_harness.scenario.model import VISUAL_SERVO
 from safety_harness.scenario.references import (
     EXEC,
+    LEARNED,
     MODEL_SUFFIX,
     added_way,
     file_and_name,
@@ -34,7 +30,6 @@ from safety_harness.seams.isolation.python_file import refuse_undefined
 
 Make = Callable[[], UserController]
 
-LEARNED = "learned policy"
 LEARNED_FILE = Path(__file__).resolve().parents[2] / "models" / "learned-policy.onnx"
 
 
@@ -77,6 +72,8 @@ def controller_of(reference: str, folder: Path | None, place: Place = CONTROLLER
     if scheme := added_way(reference):
         opener = part_named(ExtensionPoint.CONTROLLERS, scheme, ControllerOpener)
         return partial(_opened, opener, reference, place)
+    from safety_harness.cell.controller.out_of_process.references import of_file, of_program
+
     if names_a_program(reference):
         return of_program(reference, place)
     path, name = controller_file(reference, folder, place)
@@ -112,6 +109,8 @@ def refuse_unusable_controller(reference: str, folder: Path | None, place: Place
         part_named(ExtensionPoint.CONTROLLERS, scheme, ControllerOpener)
         return
     if names_a_program(reference):
+        from safety_harness.cell.controller.out_of_process.references import of_program
+
         of_program(reference, place)
         return
     path, name = controller_file(reference, folder, place)
@@ -158,5 +157,7 @@ def controller_sha256(reference: str, folder: Path | None) -> str:
         hashes = part_named(ExtensionPoint.CONTROLLERS, scheme, ControllerOpener).sha256
         return "" if hashes is None else hashes(reference)
     if names_a_program(reference):
+        from safety_harness.cell.controller.out_of_process.references import program_sha256
+
         return program_sha256(reference, CONTROLLER)
     return hashlib.sha256(controller_file(reference, folder)[0].read_bytes()).hexdigest()

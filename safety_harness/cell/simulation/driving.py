@@ -21,7 +21,6 @@ from safety_harness.base.exceptions import ControllerError
 from safety_harness.cell.controller.answers import LaneAnswers, answers_many, ask_together, lanes_of
 from safety_harness.cell.controller.cycle import QUESTION
 from safety_harness.cell.controller.driven import DrivenController, entry_of
-from safety_harness.cell.controller.out_of_process.remote import RemoteController
 from safety_harness.cell.controller.records import ObservationRecords, QuestionRecords
 from safety_harness.cell.controller.seeing import DrivenRecords
 from safety_harness.cell.simulation.kinematic_world import KinematicWorld
@@ -142,6 +141,9 @@ class _Asking:
         self._users = [lane.controller.user for lane in lanes]
         self.took_s: list[float] = []
         user, first = self._users[0], lanes[0].controller
+        from safety_harness.cell.controller.out_of_process.remote import RemoteController
+
+        self._remote = isinstance(user, RemoteController)
         self._timed = not (user.together if isinstance(user, RemoteController) else answers_many(user))
         self._layout, self._period_s = first.layout, first.period_s
         self._numbers = (
@@ -155,7 +157,7 @@ class _Asking:
         rows.flags.writeable = False
         users: Any = [self._users[lane] for lane in own]
         begun_s = time.perf_counter()
-        if isinstance(users[0], RemoteController):
+        if self._remote:
             why = users[0].act_together(users, own, tick, self._layout.hand_slots, rows, self._answers)
         else:
             why = ask_together(users, own, rows, self._period_s, self._layout, self._answers)

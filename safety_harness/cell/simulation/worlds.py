@@ -30,8 +30,7 @@ from safety_harness.base.extras import IMAGES
 from safety_harness.base.extras import PYBULLET as PYBULLET_EXTRA
 from safety_harness.base.geometry.arrays import ArrayN
 from safety_harness.base.settings import DetectorKind, ImageSource
-from safety_harness.cell.controller.named import LEARNED
-from safety_harness.scenario.references import names_onnx
+from safety_harness.scenario.references import LEARNED, names_onnx
 
 if TYPE_CHECKING:
     from safety_harness.cell.perception.detector import BoundingBoxDetector
@@ -257,12 +256,12 @@ def world_named(label: str, option: str) -> WorldEntry:
 
     Raise ``ScenarioError`` if the label is unknown.
     """
-    worlds = worlds_by_label()
-    for known, world in worlds.items():
-        if known.casefold() == label.casefold():
+    for world in WORLDS:
+        if world.label.casefold() == label.casefold():
             return world
     if (made := _of_reference.__wrapped__(label)) is not None:  # an edited simulator begins anew
         return named_by_user(made)
+    worlds = worlds_by_label()
     raise ScenarioError.of_option(option, " or ".join(worlds), label, near_miss(label, worlds))
 
 

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import islice
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +26,10 @@ from safety_harness.scenario.faults import OWN_KEYS, AvoiderFault, FalseHand, Ha
 from safety_harness.scenario.model import MovingHand, Scenario
 from safety_harness.scenario.moves import MOVES
 from safety_harness.scenario.write import write_scenario
-from safety_harness.space.space import ScenarioSpace
 from safety_harness.trace.trace import Trace
+
+if TYPE_CHECKING:
+    from safety_harness.space.space import ScenarioSpace
 
 # A choice for a hypothetical run: a hand at 2 m/s moves by 100 mm in a step.
 STEP_S = 0.05

@@ -22,11 +22,11 @@ from safety_harness.base.whole_file import write_whole
 from safety_harness.cell.robot.capsules import CapsuleSet
 from safety_harness.cell.robot.description import ArmModel
 from safety_harness.cell.robot.robots import arm_capsules, arm_model
-from safety_harness.report.arm_meshes import packed_meshes
-from safety_harness.report.packing import as_attribute, packed
-from safety_harness.report.page_parts import render_page
-from safety_harness.report.replay import arm_in_scene
-from safety_harness.report.svg import plain
+from safety_harness.extensions.pages.arm_meshes import packed_meshes
+from safety_harness.extensions.pages.packing import as_attribute, packed
+from safety_harness.extensions.pages.page_parts import render_page
+from safety_harness.extensions.pages.replay import arm_in_scene
+from safety_harness.extensions.pages.svg import plain
 from safety_harness.scenario.robots import AnyRobot, OwnRobot, Robot, robot_named
 
 TICK_S, LEG_S = 0.05, 2.0  # each joint moves in three legs: to its lower end, to its upper end, and back

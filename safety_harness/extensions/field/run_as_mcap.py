@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -71,7 +72,7 @@ def write_mcap(trace: Trace, evaluations: Sequence[Evaluation], path: Path) -> t
     if log.exists() and f'"{_quoted(path)}#' not in log.read_text(errors="replace"):
         expected = "no file, or one that an export wrote"
         raise OutputError(place=Place(file=log), expected=expected, got="another")
-    with LOGS.needed("runs as MCAP files", path):
+    with replace(LOGS, instead="").needed("runs as MCAP files", path):  # a run is not written as .csv
         from rosbags.rosbag2 import StoragePlugin, Writer
     messages, topics = _Messages(trace), dict[str, Any]()
     with writing(path), replacing(path) as part, TemporaryDirectory(dir=part.parent) as folder:

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from safety_harness.admission.admit import Admitted
+from safety_harness.extensions.attribution.attribute import Attribution, attribute
+from safety_harness.extensions.attribution.ingredients import Altered, Ingredient
 from safety_harness.extensions.selftest.fault import FaultyPart, SeededFault
 from safety_harness.extensions.selftest.system import ChangedSystem
 from safety_harness.scenario.model import Claim
-from safety_harness.search.attribution.attribute import Attribution, attribute
-from safety_harness.search.attribution.ingredients import Altered, Ingredient
 from safety_harness.trace.trace import Trace
 
 INGREDIENTS = {

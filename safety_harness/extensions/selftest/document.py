@@ -16,6 +16,8 @@ from safety_harness.base.whole_file import write_whole
 from safety_harness.cell.simulation.worlds import KINEMATIC, world_labelled
 from safety_harness.claims.properties.tally import basis
 from safety_harness.extensions.assurance.certification.tools import FaultState
+from safety_harness.extensions.pages.page_parts import render_page
+from safety_harness.extensions.pages.replay import Replays
 from safety_harness.extensions.selftest.outcome import (
     HARMLESS_HEAD,
     HEAD,
@@ -28,8 +30,6 @@ from safety_harness.extensions.selftest.outcome import (
     tally_of,
 )
 from safety_harness.report.evidence import JudgedRun
-from safety_harness.report.page_parts import render_page
-from safety_harness.report.replay import Replays
 from safety_harness.report.words import with_minus
 
 FORMAT = "safety-harness selftest 1"

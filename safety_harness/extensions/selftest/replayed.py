@@ -11,13 +11,13 @@ from dataclasses import replace
 from safety_harness.admission.admit import Admitted
 from safety_harness.admission.claims import property_of
 from safety_harness.cell.simulation.worlds import KINEMATIC, WorldEntry
+from safety_harness.extensions.pages.replay import MOST_REPLAYS
 from safety_harness.extensions.selftest.catalogue import EVERY
 from safety_harness.extensions.selftest.outcome import FaultOutcome
 from safety_harness.extensions.selftest.suite import claims_of
 from safety_harness.extensions.selftest.system import ChangedSystem
 from safety_harness.extensions.selftest.trial import Rung
 from safety_harness.report.evidence import JudgedRun
-from safety_harness.report.replay import MOST_REPLAYS
 
 
 def caught_runs(

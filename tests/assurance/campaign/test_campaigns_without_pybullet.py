@@ -11,7 +11,7 @@ from safety_harness.cli.console import BAD_INPUT
 from safety_harness.extensions.assurance.campaign.episodes import EpisodeRunner
 from safety_harness.extensions.assurance.commands.campaign import run as run_campaign
 from tests.assurance.campaign.plans import PLAN, plan_in
-from tests.cell.simulation.test_without_pybullet import NEEDS, without_pybullet
+from tests.whole.test_without_pybullet import NEEDS, without_pybullet
 
 
 @pytest.fixture(autouse=True)

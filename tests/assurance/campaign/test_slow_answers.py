@@ -30,7 +30,7 @@ from safety_harness.extensions.assurance.campaign.summary import fingerprint_of,
 from safety_harness.extensions.assurance.campaign.watch import AvoiderWatch
 from safety_harness.extensions.assurance.certification import credibility, whose_fault
 from safety_harness.extensions.assurance.certification.evidence import read_evidence
-from safety_harness.report.search_attribution import SearchAttribution
+from safety_harness.extensions.attribution.search_attribution import SearchAttribution
 from safety_harness.scenario.model import Driver
 from safety_harness.search import session as search_session
 from safety_harness.search.counterexample import Explanation

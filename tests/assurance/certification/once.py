@@ -15,7 +15,7 @@ import pytest
 from safety_harness.admission.admit import Admitted
 from safety_harness.cell.simulation.worlds import WorldEntry
 from safety_harness.extensions.assurance.certification import credibility, whose_fault
-from safety_harness.report.search_attribution import SearchAttribution
+from safety_harness.extensions.attribution.search_attribution import SearchAttribution
 from safety_harness.scenario.model import Claim, Scenario
 
 _ATTRIBUTE, _EXPLAIN, _TRIAL = whose_fault.attribute, SearchAttribution.explain, credibility.run_trial

@@ -33,8 +33,8 @@ from safety_harness.extensions.assurance.certification.folder import read_manife
 from safety_harness.extensions.assurance.commands import campaign as campaign_command
 from safety_harness.extensions.assurance.commands.certify import certify
 from safety_harness.extensions.assurance.pages import campaign_page
-from safety_harness.report import search_attribution as attribution
-from safety_harness.report.search_attribution import SearchAttribution
+from safety_harness.extensions.attribution import search_attribution as attribution
+from safety_harness.extensions.attribution.search_attribution import SearchAttribution
 from safety_harness.report.search_job import SearchResult
 from safety_harness.search import session as search_session
 from safety_harness.search.counterexample import Explanation

@@ -10,7 +10,7 @@ from made_up_evidence import HASH, HOSTILE, STRATA, evidence, outcome
 
 from safety_harness.extensions.assurance.certification.evidence import ClaimStatus, OpenFinding, by_severity
 from safety_harness.extensions.assurance.certification.page import render
-from safety_harness.report.page_parts import asset
+from safety_harness.extensions.pages.page_parts import asset
 
 
 @pytest.fixture(scope="module")
@@ -199,21 +199,21 @@ def test_the_viewer_is_there_once_and_only_where_there_is_something_to_replay(te
 
 def test_what_the_plan_did_not_measure_is_said(document: page.Node) -> None:
     words = document.text
-    assert "no run gave it an occasion" in words
-    assert "measured with another source" in words
-    assert "Nothing here compares the simulator with a real cell." in words
+    assert "no run exercised it, so nothing is known about it" in words
+    assert "scenarios with another source" in words
+    assert "This report does not compare the simulator with a real cell." in words
 
 
 def test_a_search_that_was_asked_for_and_is_not_there_is_not_passed_over() -> None:
     whole = evidence(counterexamples=0)
     missing = page.parse(render(replace(whole, search=None), {}))
-    assert "The plan asks for a search of 2000 runs, of which nothing is known" in missing.text
+    assert "The plan asks for a search of 2000 runs, but its results are missing." in missing.text
     none = page.parse(render(replace(whole, search=None, plan=replace(whole.plan, search_runs=0)), {}))
     assert "The plan asks for no search." in none.text
 
 
 def test_it_lists_by_standard_what_is_missing(document: page.Node) -> None:
-    standards = document.text[document.text.index("Standards, and what is missing") :]
+    standards = document.text[document.text.index("Standards, and missing points") :]
     assert "ISO 13849-1:2023a rate of dangerous failures an hour" in standards
     for words in (
         "not covered here",

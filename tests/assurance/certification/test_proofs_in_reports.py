@@ -98,7 +98,7 @@ def test_what_the_checker_confirms_is_told_apart_from_what_is_shown(report: Path
     assert steps.confirmed in part
     assert steps.gates[0] in part
     assert "undecided, by the hand from above" in part
-    assert "Proven is another word than shown" in part
+    assert "<em>Proven</em> differs from <em>shown</em>." in part
 
 
 WITHIN = """

@@ -46,8 +46,8 @@ def test_the_page_has_what_was_compared_and_no_longer_says_that_nothing_was() ->
     assert "0 verdicts of 1 differ" in words
     assert "elbow_joint: mean 0.115 deg (0.057 deg to 0.172 deg)" in words
     assert "not estimated: the joints stand" in words
-    assert "Nothing here compares the simulator with a real cell" not in words
-    assert "What a recorded cell shows is of that recording." in words
+    assert "does not compare the simulator with a real cell" not in words
+    assert "Each comparison is about one recording only." in words
 
 
 @pytest.mark.parametrize(

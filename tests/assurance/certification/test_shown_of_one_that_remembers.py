@@ -14,7 +14,7 @@ from safety_harness.extensions.assurance.certification.evidence import ClaimStat
 from safety_harness.extensions.assurance.certification.folder import PAGE, write_folder, write_manifest
 from safety_harness.extensions.assurance.certification.gather import gather
 from safety_harness.extensions.assurance.certification.verify import verify
-from safety_harness.report.search_attribution import SearchAttribution
+from safety_harness.extensions.attribution.search_attribution import SearchAttribution
 from safety_harness.search.counterexample import Explanation
 from tests.admission.remembering import TEXT as MINE
 from tests.assurance.campaign.plans import PLAN, plan_in

@@ -13,7 +13,7 @@ from safety_harness.extensions.assurance.commands.campaign import merge, resume,
 from safety_harness.extensions.assurance.commands.campaign import run as run_campaign
 from tests.admission.remembering import NO_FUNCTIONS
 from tests.assurance.campaign.plans import PLAN
-from tests.cli.test_asking_again import in_a_folder_with_files
+from tests.whole.test_asking_again import in_a_folder_with_files
 
 SMALL = (
     PLAN.replace("runs: 30", "runs: 4")

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.test_controllers_against import with_both
-from tests.cli.test_own_controller import command
+from tests.whole.test_controllers_against import with_both
+from tests.whole.test_own_controller import command
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.cell.controller.out_of_process.test_declared_files import DECLARED, program_in
-from tests.cli.test_own_controller import PLAN, SPACE, command
+from tests.whole.test_own_controller import PLAN, SPACE, command
 
 
 def test_a_program_whose_declared_weights_were_exchanged_is_not_resumed(

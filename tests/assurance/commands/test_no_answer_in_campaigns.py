@@ -11,8 +11,8 @@ from safety_harness.extensions.assurance.certification.evidence import ClaimStat
 from safety_harness.extensions.assurance.commands import campaign
 from safety_harness.extensions.assurance.commands.certify import certify, verify
 from tests.assurance.campaign.plans import plan_in
-from tests.cli.test_avoiders_that_never_answer import IN_PLACE, LISTING, RAISING
 from tests.cli.test_own_avoider import VISIT
+from tests.whole.test_avoiders_that_never_answer import IN_PLACE, LISTING, RAISING
 
 PLAN = """\
 plan: a hand nearby

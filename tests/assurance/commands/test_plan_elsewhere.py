@@ -12,7 +12,7 @@ from safety_harness.admission import repeatability
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
 from safety_harness.cli.main import app
 from safety_harness.extensions.assurance.certification import whose_fault
-from safety_harness.report import search_attribution
+from safety_harness.extensions.attribution import search_attribution
 from safety_harness.search import session as search_session
 from tests.assurance.campaign.plans import PLAN
 from tests.search.short_space import TEXT

@@ -61,7 +61,7 @@ def test_what_has_run_is_there_and_no_bound_before_the_end(ledger: Ledger, tmp_p
     words = words_of(page_of(ledger, tmp_path))
     assert "a hand nearby: not complete: 30 of 50 episodes" in words
     assert "near hand distance never below 150 mm not shown 30 25 0 – – 0.5 −25.0 mm 24" in words
-    assert "near 24 hand distance never below 150 mm −25.0 mm 0.250 s made again from its seed" in words
+    assert "near 24 hand distance never below 150 mm −25.0 mm 0.250 s repeatable from its seed" in words
     assert words.index("near 24 hand") < words.index("near 23 hand")
 
 

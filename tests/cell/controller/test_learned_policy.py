@@ -13,8 +13,9 @@ from safety_harness.admission.admit import admit
 from safety_harness.admission.avoiders import with_avoider
 from safety_harness.admission.trial import run_kinematic
 from safety_harness.base.exceptions import MissingPackageError
-from safety_harness.cell.controller.named import LEARNED, LEARNED_FILE
+from safety_harness.cell.controller.named import LEARNED_FILE
 from safety_harness.scenario.model import Driver
+from safety_harness.scenario.references import LEARNED
 from safety_harness.trace.trace import Trace
 
 

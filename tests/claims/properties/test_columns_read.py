@@ -17,13 +17,12 @@ from broken import (
     uses_what_it_doubts,
 )
 from examples import VISIT, hand, run, scenario
-from test_catalogue import IDS, claim, shipped
+from test_catalogue import IDS, OWN, claim, shipped
 from test_no_evidence import truncated
 from test_unexercised import IDLE
 
 from safety_harness.admission.claims import property_of
 from safety_harness.claims.properties.base import Evaluation, Property, unreadable
-from safety_harness.claims.properties.catalogue import CATALOGUE
 from safety_harness.claims.properties.entry import CatalogueEntry
 from safety_harness.claims.properties.measured import columns_read_by
 from safety_harness.claims.properties.reaction import GIVES_WAY_TO_TRUE_HAND
@@ -132,7 +131,7 @@ def without_words(found: Evaluation) -> Evaluation:
     return replace(found, reason="")
 
 
-@pytest.mark.parametrize("entry", CATALOGUE, ids=IDS)
+@pytest.mark.parametrize("entry", OWN, ids=IDS)
 def test_what_a_claim_does_not_declare_may_hold_anything(entry: CatalogueEntry) -> None:
     """Words on what would have exercised it may be fewer, but have nothing of what was not measured."""
     for prop, trace, whole in cases(entry):
@@ -141,7 +140,7 @@ def test_what_a_claim_does_not_declare_may_hold_anything(entry: CatalogueEntry) 
         assert without_words(one) == without_words(whole)
 
 
-@pytest.mark.parametrize("entry", CATALOGUE, ids=IDS)
+@pytest.mark.parametrize("entry", OWN, ids=IDS)
 def test_what_a_claim_declares_and_nobody_measured_makes_it_inconclusive(entry: CatalogueEntry) -> None:
     for prop, trace, whole in cases(entry)[:2]:
         for column in columns_read_by(prop) or ():
@@ -168,7 +167,7 @@ class Watched(np.ndarray):
         return found.view(np.ndarray) if isinstance(key, str) else found
 
 
-@pytest.mark.parametrize("entry", CATALOGUE, ids=IDS)
+@pytest.mark.parametrize("entry", OWN, ids=IDS)
 def test_a_claim_touches_no_column_that_it_does_not_declare(entry: CatalogueEntry) -> None:
     """The views of all true motion are made at once, whoever asks for one: they are no reading."""
     for prop, trace, whole in cases(entry):

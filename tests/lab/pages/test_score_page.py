@@ -106,7 +106,7 @@ def test_worst_questions_link_to_their_files_and_are_of_another_ledger(page: Nod
     assert link.attributes["href"] == "worst-1.yaml"
     assert "\u221223.4" in table.text
     assert "proposals lead away to within 10 mm: violated" in table.text
-    assert "500 questions of a search" in page.text
+    assert "A search for the worst asked 500 questions" in page.text
     assert "they enter no figure" in page.text
     assert "safety-harness run worst-1.yaml" in page.text
     assert "a hand within the robot" in page.text

@@ -47,14 +47,14 @@ from safety_harness.extensions.lab.proof.plan import read_proof_plan
 from safety_harness.extensions.lab.proof.session import fresh
 from safety_harness.extensions.lab.proof.together import joint_bounds
 from safety_harness.extensions.lab.proof.tree import BoxTree
+from safety_harness.extensions.pages.coverage_map import coverage_map
+from safety_harness.extensions.pages.page_parts import asset
+from safety_harness.extensions.pages.run_page import render as report_page
+from safety_harness.extensions.pages.search_page import render as search_page
+from safety_harness.extensions.pages.svg import standalone
+from safety_harness.extensions.pages.view_page import write_view
 from safety_harness.extensions.selftest.document import render as selftest_page
-from safety_harness.report.coverage_map import coverage_map
-from safety_harness.report.html import render as report_page
 from safety_harness.report.machine import FORMAT
-from safety_harness.report.page_parts import asset
-from safety_harness.report.search_page import render as search_page
-from safety_harness.report.svg import standalone
-from safety_harness.report.view_page import write_view
 from safety_harness.scenario.robots import Robot
 from safety_harness_paper import figure7, table1
 from safety_harness_paper.page import render as reproduction_page
@@ -264,9 +264,9 @@ def coverage_file() -> str:
 
 XML: dict[str, Callable[[], str]] = {
     "extensions/assurance/certification/folder.py": lambda: junit_xml(spoilt(made_up_evidence.evidence())),
-    "report/coverage_map.py": coverage_file,
+    "extensions/pages/coverage_map.py": coverage_file,
     "extensions/lab/pages/question_maps.py": question_map_file,
-    "report/svg.py": coverage_file,
+    "extensions/pages/svg.py": coverage_file,
 }
 
 

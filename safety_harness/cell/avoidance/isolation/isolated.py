@@ -12,7 +12,6 @@ import logging
 import time
 import weakref
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -39,6 +38,7 @@ from safety_harness.cell.avoidance.asking import (
     limit_of,
 )
 from safety_harness.cell.avoidance.avoider import Proposal, Vector
+from safety_harness.cell.avoidance.isolation.apart import CONTEXTS
 from safety_harness.cell.avoidance.isolation.messages import (
     MOST_ANSWER_BYTES,
     Answered,
@@ -200,22 +200,18 @@ def _connected(path: Path, source: bytes, *, silent: bool = False) -> Connection
     return Connection(start, binary_wire(from_the_child.decode, MOST_ANSWER_BYTES))
 
 
-# The key is the file and its text; the last cache of the list is in use.  A cache holds KEPT connections;
-# the process of any other connection ends with its last avoider.
-_connections = [lru_cache(KEPT)(_connected)]
+# The key is the file and its text.  A cache holds KEPT connections; the process of any other connection ends
+# with its last avoider.
+_connection = lru_cache(KEPT)(_connected)
 
 
-@contextmanager
-def processes_apart() -> Iterator[None]:
-    """Start new processes for the avoiders that are created in this context.
-
-    The new processes have no memory of earlier questions, and run silently.
-    """
-    _connections.append(lru_cache(KEPT)(partial(_connected, silent=True)))
-    try:
-        yield
-    finally:
-        _connections.pop()
+def _connection_to(path: Path, source: bytes) -> Connection:
+    """Return a connection to the process of a file, which a context of ``processes_apart`` does not share."""
+    if not CONTEXTS:
+        return _connection(path, source)
+    silent = CONTEXTS[-1].setdefault("connection", lru_cache(KEPT)(partial(_connected, silent=True)))
+    connection: Connection = silent(path, source)
+    return connection
 
 
 def isolated_avoider(path: Path, name: str, place: Place) -> IsolatedAvoider:
@@ -233,7 +229,7 @@ def isolated_avoider(path: Path, name: str, place: Place) -> IsolatedAvoider:
     source, expected = source_of(path, place), f"{path.name} to give an avoider {name}"
     make = partial(Make.from_file, path, source, name)
     with refusing(InadmissibleError, expected, PROGRAM_S, place):
-        return IsolatedAvoider(_connections[-1](path, source), make, PROGRAM_S)
+        return IsolatedAvoider(_connection_to(path, source), make, PROGRAM_S)
 
 
 def isolated_onnx(path: Path, settings: Settings, layout: str = "") -> IsolatedAvoider:
@@ -259,4 +255,4 @@ def isolated_onnx(path: Path, settings: Settings, layout: str = "") -> IsolatedA
     tcp = settings.cell.desired_tcp_position_in_base_m
     make = partial(Make.from_file, path, source, layout, onnx=True, hand=hand, tcp=tcp)
     with refusing(ModelError, expected, ONNX_S, None, path):
-        return IsolatedAvoider(_connections[-1](path, source), make, ONNX_S)
+        return IsolatedAvoider(_connection_to(path, source), make, ONNX_S)

@@ -20,7 +20,7 @@ from typing import Any
 from safety_harness.base.exceptions import Place, ScenarioError
 from safety_harness.extensions.assurance.certification.argument import DONE, Element, ElementKind, argument_of
 from safety_harness.extensions.assurance.certification.evidence import ArgumentNote, Evidence
-from safety_harness.report.svg import plain
+from safety_harness.extensions.pages.svg import plain
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.files import decode, read_bytes
 from safety_harness.scenario.nodes import parse_tree

@@ -9,8 +9,8 @@ from html import escape
 from markupsafe import Markup
 
 from safety_harness.extensions.assurance.certification.argument import UNDEVELOPED, Element, ElementKind
-from safety_harness.report.page_parts import templates
-from safety_harness.report.svg import plain
+from safety_harness.extensions.pages.page_parts import templates
+from safety_harness.extensions.pages.svg import plain
 
 WIDTH, PAD, LINE, GAP_X, GAP_Y = 176.0, 10.0, 15.0, 22.0, 12.0
 LETTERS = 25  # in a line of a box

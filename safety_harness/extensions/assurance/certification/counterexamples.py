@@ -26,8 +26,8 @@ from safety_harness.extensions.assurance.campaign.plan import Plan
 from safety_harness.extensions.assurance.certification.evidence import CounterexampleEvidence, SearchSummary
 from safety_harness.extensions.assurance.certification.stored import judged_run
 from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
+from safety_harness.extensions.attribution.search_attribution import SearchAttribution
 from safety_harness.report.evidence import JudgedRun
-from safety_harness.report.search_attribution import SearchAttribution
 from safety_harness.report.words import count_words, margin_words
 from safety_harness.scenario.files import decode, read_bytes
 from safety_harness.scenario.model import Scenario

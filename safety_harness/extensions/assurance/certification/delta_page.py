@@ -10,7 +10,7 @@ from safety_harness.base.whole_file import write_whole
 from safety_harness.extensions.assurance.certification.delta import EvidenceDelta, interval
 from safety_harness.extensions.assurance.certification.delta_parts import NONE
 from safety_harness.extensions.assurance.certification.verdicts import percent
-from safety_harness.report.page_parts import render_page
+from safety_harness.extensions.pages.page_parts import render_page
 
 PAGE, JSON = "delta.html", "delta.json"
 
@@ -76,14 +76,13 @@ def render(delta: EvidenceDelta, *, command: str, generated_at: datetime) -> str
                 row.stratum,
                 interval(row.before),
                 interval(row.after),
-                "worse" if row.worse else "better" if row.better else "not told apart",
+                "worse" if row.worse else "better" if row.better else "undecided",
                 row.how,
             )
             for row in delta.bounds
         ],
         parts=[(row.name, row.part, row.before, row.after) for row in delta.parts],
         carried=[
-            (row.what, "carries over" if row.carries else "has to be run again", row.why)
-            for row in delta.carried
+            (row.what, "carries over" if row.carries else "to be run again", row.why) for row in delta.carried
         ],
     )

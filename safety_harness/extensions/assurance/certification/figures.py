@@ -10,8 +10,8 @@ from safety_harness.extensions.assurance.certification.evidence import (
     SeparationCase,
 )
 from safety_harness.extensions.assurance.certification.verdicts import at_least, at_most, percent
-from safety_harness.report.axes import Axes, Axis, Picture, Share, stairs
-from safety_harness.report.svg import DASHES, Ink, plain
+from safety_harness.extensions.pages.axes import Axes, Axis, Picture, Share, stairs
+from safety_harness.extensions.pages.svg import DASHES, Ink, plain
 from safety_harness.report.words import with_minus
 
 LANE_PX, ABOVE_PX, BELOW_PX, LEFT_PX, WIDTH_PX = 30.0, 30.0, 46.0, 190.0, 760.0
@@ -46,7 +46,7 @@ def bounds_figure(claim: ClaimEvidence) -> str:
         axes.vline(claim.target, Ink.LIMIT, width=1.4, dashes=LIMIT_DASHES)
         label = f"target {percent(claim.target)}"
         axes.text(label, claim.target, Share(1.0), shift=(0.0, -6.0), anchor="middle", ink=Ink.LIMIT)
-    axes.x.label = "probability of a violation, given that the run put the claim to the test"
+    axes.x.label = "probability of a violation in a run that exercises the claim"
     described = "; ".join(
         f"{o.stratum}: {at_least(o.bound.lower)} to {at_most(o.bound.upper)}" for o in rows if o.bound
     )

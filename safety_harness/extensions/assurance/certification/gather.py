@@ -68,8 +68,8 @@ from safety_harness.extensions.assurance.certification.tools import (
 )
 from safety_harness.extensions.assurance.certification.verdicts import worst_status
 from safety_harness.extensions.assurance.certification.whose_fault import whose_fault
+from safety_harness.extensions.pages.page_parts import in_words
 from safety_harness.report.evidence import JudgedRun
-from safety_harness.report.page_parts import in_words
 from safety_harness.trace.limiting import AS_MEANT
 from safety_harness.trace.provenance import provenance
 

@@ -17,7 +17,6 @@ from safety_harness.admission.driving import named_system
 from safety_harness.base.exceptions import on_one_line
 from safety_harness.base.shipped.contents import located
 from safety_harness.cell.avoidance.model_file import onnx_bytes, onnx_metadata
-from safety_harness.cell.controller.named import LEARNED
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.plan import Plan
 from safety_harness.extensions.assurance.certification.evidence import LearnedPart, TrainingDistance
@@ -25,7 +24,7 @@ from safety_harness.extensions.assurance.certification.stored import Stored
 from safety_harness.extensions.assurance.certification.system import model_of
 from safety_harness.scenario.files import resolved
 from safety_harness.scenario.model import Scenario
-from safety_harness.scenario.references import file_and_name, names_onnx
+from safety_harness.scenario.references import LEARNED, file_and_name, names_onnx
 from safety_harness.search.counterexample import seen_of
 from safety_harness.search.coverage import AXES, SEEN
 

@@ -43,23 +43,24 @@ from safety_harness.extensions.assurance.certification.verdicts import (
 )
 from safety_harness.extensions.lab.pages.proof_page import SCALE, STATES, drawn_maps
 from safety_harness.extensions.lab.pages.question_maps import key_of
-from safety_harness.report.coverage_map import coverage_map
+from safety_harness.extensions.pages.attributions import draw_attributions
+from safety_harness.extensions.pages.coverage_map import coverage_map
+from safety_harness.extensions.pages.page_parts import added_sections, render_page
+from safety_harness.extensions.pages.path_views import path_views, shown_moment
+from safety_harness.extensions.pages.replay import Replays
+from safety_harness.extensions.pages.timeline import timeline
 from safety_harness.report.evidence import JudgedRun
-from safety_harness.report.page_parts import added_sections, render_page
-from safety_harness.report.path_views import path_views, shown_moment
-from safety_harness.report.replay import Replays
-from safety_harness.report.search_attribution import draw_attributions
-from safety_harness.report.timeline import timeline
+from safety_harness.report.words import count_words
 
 MEANINGS = {
     ClaimStatus.SHOWN: "the upper bound of the violation probability is at or below the target in every "
     "stratum",
-    ClaimStatus.DOUBTED: "so it is, but runs without a verdict count against it, or it is about the model "
+    ClaimStatus.DOUBTED: "like shown, but runs without a verdict count against it, or it concerns the model "
     "only",
     ClaimStatus.NOT_SHOWN: "the upper bound is above the target: too few runs, or too many violations",
     ClaimStatus.REFUTED: "even the lower bound is above the target",
-    ClaimStatus.ESTIMATED: "the plan sets no target, so there is nothing to be shown",
-    ClaimStatus.UNTESTED: "no run gave it an occasion: nothing is known of it",
+    ClaimStatus.ESTIMATED: "the plan sets no target, so the report only estimates",
+    ClaimStatus.UNTESTED: "no run exercised it, so nothing is known about it",
     ClaimStatus.INCOMPLETE: "declared runs are missing, so there is no bound yet",
 }
 
@@ -74,7 +75,7 @@ def _meanings(evidence: Evidence) -> dict[ClaimStatus, str]:
 
     If the system has an avoider, the meaning of the status DOUBTED also mentions the fallback.
     """
-    stood_in = ", or about the fallback in the avoider's place" if evidence.system.asks else ""
+    stood_in = ", or the fallback in the avoider's place" if evidence.system.asks else ""
     return MEANINGS | {ClaimStatus.DOUBTED: MEANINGS[ClaimStatus.DOUBTED] + stood_in}
 
 
@@ -191,8 +192,8 @@ def _answer(evidence: Evidence) -> str:
     """
     standings = [claim.standing for claim in evidence.claims]
     parts = (f"{standings.count(kind)} {kind.value}" for kind in reversed(SEVERITY) if kind in standings)
-    claims = "the plan's one claim" if len(standings) == 1 else f"{len(standings)} claims"
-    return f"Of {claims}: {', '.join(parts)}. The plan as a whole stands as its gravest claim does."
+    claims = count_words(len(standings), "claim", "claims")
+    return f"{claims}: {', '.join(parts)}. The gravest verdict decides for the whole plan."
 
 
 def _by_gravity(evidence: Evidence) -> list[OpenFinding]:

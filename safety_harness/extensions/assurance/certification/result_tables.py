@@ -56,15 +56,15 @@ def at_least_words(margin_si: float, claim: ClaimEvidence) -> str:
 def verdicts(evidence: Evidence) -> CellTable:
     """Return the table on the first page: each claim with its verdict, bound, number of tests, and hazard."""
     return table_of(
-        "All claims over all strata of the plan, the gravest first: the largest upper bound, and the counts "
-        "of all strata together. Each number leads to its rows. The report claims no performance level.",
+        "All claims, the gravest first, with the largest upper bound of all strata and the sums of their "
+        "counts. Each number links to its rows. The report claims no performance level.",
         by_severity(evidence.claims),
         {
             "Claim": lambda row: text_cell(
                 row.sentence, href=f"claim-{row.number}", row=f"claim-row-{row.number}"
             ),
             "Verdict": lambda row: standing(row.standing),
-            "May be violated in up to": _upper,
+            "Violated at most": _upper,
             "Target": lambda row: number(DASH if row.target is None else percent(row.target), row.target),
             "Put to the test": _tested,
             "Without verdict": lambda row: count(
@@ -100,7 +100,7 @@ def _tested(claim: ClaimEvidence) -> TableCell:
 def hazards(evidence: Evidence) -> CellTable:
     """Return the table of the plan's hazards, with the steps of the risk graph to the required rates."""
     return table_of(
-        "The plan's hazards in its author's words, and the steps from them to the required rates.",
+        "The plan's hazards in its author's words, with the steps to the required rates.",
         evidence.hazards,
         {
             "Hazard": lambda row: text_cell(row.name, note=row.event),
@@ -136,7 +136,8 @@ def rates(evidence: Evidence) -> CellTable:
         return TableCell(text=f"at or below{alone}", state="none")
 
     return table_of(
-        "Violations an hour, at most: approaches an hour times the bound per run, each at its upper end.",
+        "Upper bounds of violations an hour. Each is the product of two upper bounds: approaches an hour, "
+        "and violation probability per run.",
         [(row, rate) for row in evidence.hazards for rate in row.rates],
         {
             "Hazard": lambda row: text_cell(row[0].name),
@@ -162,8 +163,8 @@ def results(evidence: Evidence) -> CellTable:
     known = confidence_alone(evidence)
     rows = [(row, k, part) for row in by_severity(evidence.claims) for k, part in enumerate(row.outcomes)]
     return table_of(
-        "Trials are the runs that put the claim to the test. Runs without a verdict and runs that could not "
-        "be carried on count as violations in the upper bound only."
+        "Trials are runs that exercise the claim. Runs without a verdict and runs that could not run count "
+        "as violations in the upper bound only."
         + (f" Each interval holds with {known} confidence alone." if known else ""),
         rows,
         {
@@ -217,8 +218,8 @@ def quantiles(claim: ClaimEvidence) -> CellTable:
 def strata(evidence: Evidence) -> CellTable:
     """Return the table of the operational domain, with a row for each stratum."""
     return table_of(
-        "Each run draws from its space with its own seed. A new draw replaces a draw that cannot run (such "
-        "as a start out of reach), and the table counts it."
+        "Each run draws from its space with its own seed. If a draw cannot run (for example, its start is "
+        "out of reach), a new draw replaces it. The table counts refused draws."
         + "".join(f" {row[0].upper()}{row[1:]}." for row in evidence.shields),
         evidence.strata,
         {
@@ -241,10 +242,10 @@ def strata(evidence: Evidence) -> CellTable:
 def overruling(evidence: Evidence) -> CellTable:
     """Return the table of how often the gate overruled the avoider."""
     return table_of(
-        "Proposals that the gate overruled, and runs with at least one such proposal among the runs with a "
-        "proposal. The gate may have several reasons for a proposal. Each interval holds alone with 95 % "
-        "confidence, apart from the bounds that hold together. Runs that could not be carried on count as "
-        "overruled in its upper end only.",
+        "Overruled proposals, and the share of runs with an overruled proposal among the runs with a "
+        "proposal. The gate may have several reasons to overrule a proposal. Each interval has 95 % "
+        "confidence alone, and is not among the bounds that hold together. Runs that could not run count as "
+        "overruled in the upper end only.",
         evidence.overruling,
         {
             "Stratum": lambda row: text_cell(row.stratum),

@@ -63,7 +63,7 @@ def standards(evidence: Evidence) -> CellTable:
             "Document": lambda row: text_cell(row.name, note=row.about),
             "Status": lambda row: text_cell(row.status),
             "Known from": lambda row: text_cell(row.source),
-            "Traced to it": lambda row: text_cell(traced_to(row.name) or DASH),
+            "Claims by term": lambda row: text_cell(traced_to(row.name) or DASH),
         },
     )
 
@@ -80,7 +80,7 @@ def missing(_: Evidence) -> CellTable:
         rows,
         {
             "Document": lambda row: text_cell(row[0]),
-            "Asks": lambda row: text_cell(row[1].asks),
+            "Requirement": lambda row: text_cell(row[1].asks),
             "Needed to cover it": lambda row: text_cell(row[1].means),
         },
     )
@@ -89,13 +89,13 @@ def missing(_: Evidence) -> CellTable:
 def spoken_to(_: Evidence) -> CellTable:
     """Return the table of requirements that some part of this report addresses, sorted by standard."""
     return table_of(
-        "A part of this report that speaks to a requirement does not fulfil it.",
+        "Parts of this report address these requirements. This alone does not fulfil a requirement.",
         [(name, row) for name, row in _REQUIREMENTS if row.here],
         {
             "Document": lambda row: text_cell(row[0]),
-            "Asks": lambda row: text_cell(row[1].asks),
-            "Here": lambda row: text_cell(row[1].here, href=row[1].here),
-            "What it says": lambda row: text_cell(row[1].means),
+            "Requirement": lambda row: text_cell(row[1].asks),
+            "Section": lambda row: text_cell(row[1].here, href=row[1].here),
+            "Content": lambda row: text_cell(row[1].means),
         },
     )
 
@@ -107,7 +107,7 @@ def questions(_: Evidence) -> CellTable:
         QUESTIONS,
         {
             "Question": lambda row: text_cell(row.asks),
-            "Drawn from": lambda row: text_cell(STANDARDS[row.of].name),
+            "Source": lambda row: text_cell(STANDARDS[row.of].name),
             "Answered in": lambda row: text_cell(row.here or "not covered here", href=row.here),
             "Means, present or needed": lambda row: text_cell(row.means),
         },
@@ -117,9 +117,9 @@ def questions(_: Evidence) -> CellTable:
 def training(evidence: Evidence) -> CellTable:
     """Return the table of the distances of the strata from the network's training data."""
     return table_of(
-        "All runs with a hand, by the place of hand and TCP at the gravest decision: in the training data or "
-        "outside. Then the decisions of the stored random runs: the share of hands outside of the box of "
-        "hands seen in training, and their distance from it.",
+        "Runs with a hand, counted by the place of hand and TCP at the gravest decision: in the training "
+        "data or outside. The other columns concern the decisions of the stored random runs. They state the "
+        "share of hands outside the box of hands seen in training, and their distance from the box.",
         () if evidence.learned is None else evidence.learned.strata,
         {"Stratum": lambda row: text_cell(row.stratum)}
         | {
@@ -144,8 +144,8 @@ def _far(distance_m: float | None) -> TableCell:
 def separation(evidence: Evidence) -> CellTable:
     """Return the table of the cases that the figure of protective separation shows."""
     return table_of(
-        "The stored run with least to spare in each stratum, at its worst moment. S_p is the sum of "
-        "its terms; the margin is the distance less S_p.",
+        "The stored run with the least margin in each stratum, at its worst moment. S_p is the sum of its "
+        "terms; the margin is the distance minus S_p.",
         evidence.separation,
         {
             "Stratum": lambda row: text_cell(row.stratum),
@@ -166,9 +166,9 @@ def separation(evidence: Evidence) -> CellTable:
 def calibration(evidence: Evidence) -> CellTable:
     """Return the table of the verdicts on the avoider's intervals, by stratum."""
     return table_of(
-        "The first answered decision in every declared random run with a stored trace; a verdict needs "
-        "a hundred decisions. An interval has 95 % confidence by itself; the bounds that hold together do "
-        "not include it.",
+        "The first answered decision in every declared random run with a stored trace. A verdict needs a "
+        "hundred decisions. Each interval has 95 % confidence alone, apart from the bounds that hold "
+        "together.",
         evidence.calibration,
         {
             "Stratum": lambda row: text_cell(row.stratum),
@@ -194,8 +194,8 @@ def domain(evidence: Evidence) -> CellTable:
     ]
     never = text_cell("limits of the simulation", href="not-shown")
     return CellTable(
-        "The plan's strata are in. The rows below them count their runs by the axes of the map; no run can "
-        "reach some untested values. The last row is out, because no run simulates it.",
+        "The plan's strata are in the domain. The rows below count their runs along the axes of the map. "
+        "No run can reach some untested values. The last row is out, because no run simulates it.",
         ("Group", "Part", "Standing", "Runs"),
         (*inside, (text_cell("simulation"), never, text_cell("out"), number(DASH))),
     )
@@ -204,7 +204,7 @@ def domain(evidence: Evidence) -> CellTable:
 def whose_fault(evidence: Evidence) -> CellTable:
     """Return the table of single changes, with the number of violations that each change would avoid."""
     return table_of(
-        "Single changes that would have helped",
+        "Single changes that would have avoided violations.",
         evidence.whose_fault.would_help,
         {"Change": lambda row: text_cell(row[0]), "Violations avoided": lambda row: count(row[1])},
     )
@@ -213,15 +213,15 @@ def whose_fault(evidence: Evidence) -> CellTable:
 def counterexamples(evidence: Evidence) -> CellTable:
     """Return the table of all counterexamples with their origin."""
     return table_of(
-        "The bounds include the counterexamples of the declared runs. They exclude the counterexamples of "
-        "the search, because it looks where violations are.",
+        "The bounds include counterexamples of the declared runs. They exclude counterexamples of the "
+        "search, because it looks for violations.",
         evidence.counterexamples,
         {
             "No.": lambda row: text_cell(str(row.number), href=f"counterexample-{row.number}"),
             "Violates": lambda row: text_cell(row.sentence),
             "Margin": lambda row: text_cell(row.margin),
-            "Met by": lambda row: text_cell(row.origin),
-            "Like it": lambda row: count(row.like_it),
+            "Found by": lambda row: text_cell(row.origin),
+            "Similar": lambda row: count(row.like_it),
             "Files": lambda row: text_cell(", ".join(filter(None, (row.scenario_file, row.trace_file)))),
         },
     )
@@ -245,32 +245,33 @@ def agreement(known: WorldAgreement) -> CellTable:
 
     ``known`` is the measured agreement of the worlds.
     """
-    present = "this very source" if known.present else f"another source, {known.source_hash}"
+    present = "this source" if known.present else f"another source, {known.source_hash}"
     return table_of(
-        f"The two worlds on the same {known.scenarios} scenarios, measured with {present}: "
+        f"Both worlds ran the same {known.scenarios} scenarios with {present}. "
         f"{count_words(known.disagreements, 'verdict', 'verdicts')} of {known.verdicts} differ, "
-        f"{known.optimistic} of them optimistic (the kinematic world sees a claim hold that PyBullet sees "
-        "violated).",
+        f"{known.optimistic} of them optimistic (the claim holds in the kinematic world and is violated in "
+        "PyBullet).",
         known.differences,
-        {"What": lambda row: text_cell(row[0]), "Largest difference": lambda row: number(row[1])},
+        {"Quantity": lambda row: text_cell(row[0]), "Largest difference": lambda row: number(row[1])},
     )
 
 
 def cell_lines(known: RecordedCell) -> CellTable:
     """Return the table of the differences between the log of the recorded cell ``known`` and both worlds."""
     cell = known.comparison
-    source = "this very source" if known.present else f"another source, {cell.source_hash}"
+    source = "this source" if known.present else f"another source, {cell.source_hash}"
     rows = [(world.world, line) for world in cell.worlds for line in world_lines(world, cell.usually)]
     return table_of(
-        f"{cell.log}, {cell.title}, {cell.duration_s:g} s: {cell.tested} on "
-        f"{cell.system.robot if cell.system else 'an arm that is not noted'} under the recorded hands, "
-        f"simulated minus recorded, run with {source}. "
+        f"{cell.log}, {cell.title}, {cell.duration_s:g} s. The worlds ran {cell.tested} on "
+        f"{cell.system.robot if cell.system else 'an unknown arm'} with the recorded hands and {source}. "
+        "Differences are simulated minus recorded. "
         f"{count_words(known.differing, 'verdict', 'verdicts')} of {known.decided} differ, "
-        f"{known.optimistic} of them optimistic (a claim holds in simulation that was violated in the cell). "
-        f"Intervals: {cell.confidence:.0%} of the mean, by {cell.blocks} stretches of it, approximate. "
+        f"{known.optimistic} of them optimistic (the claim holds in simulation and was violated in the "
+        f"cell). Intervals: {cell.confidence:.0%} for the mean, from {cell.blocks} stretches of the log, "
+        "approximate. "
         f"compare-worlds.json: sha256 {known.sha256}.",
         rows,
-        {"World": lambda row: text_cell(row[0]), "What": lambda row: text_cell(row[1])},
+        {"World": lambda row: text_cell(row[0]), "Result": lambda row: text_cell(row[1])},
     )
 
 
@@ -280,7 +281,7 @@ def rerun(known: Rerun) -> CellTable:
     The repetition uses smaller physics steps or another world. ``known`` has its results.
     """
     return table_of(
-        f"{count_words(known.runs, 'declared random run', 'declared random runs')} again "
+        f"{count_words(known.runs, 'declared random run', 'declared random runs')}, repeated "
         f"{known.how}: {known.changed} of {known.verdicts} verdicts change, "
         f"{known.optimistic} of them from holds to violated.",
         known.largest,
@@ -306,7 +307,7 @@ def kills(test: SelfTest) -> CellTable:
     """Return the table of every seeded fault in ``test``, with the claim that caught it."""
     survived = TableCell(text="survived", state="violated")
     return table_of(
-        f"Faults seeded into the system, profile {test.profile}: {test.caught} of {len(test.faults)} "
+        f"Seeded faults of the system, profile {test.profile}: {test.caught} of {len(test.faults)} "
         f"caught{'' if test.whole else '; the trial skipped some faults of the catalogue'}.",
         sorted(test.faults, key=lambda row: bool(row.caught_by)),
         {

@@ -9,8 +9,8 @@ from safety_harness.extensions.assurance.campaign.attributed import ViolatedEpis
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.plan import Plan
 from safety_harness.extensions.assurance.certification.evidence import WhoseFault
-from safety_harness.search.attribution.attribute import attribute
-from safety_harness.search.attribution.tally import AttributionTally
+from safety_harness.extensions.attribution.attribute import attribute
+from safety_harness.extensions.attribution.tally import AttributionTally
 
 MOST = 20  # the first violations of each claim
 

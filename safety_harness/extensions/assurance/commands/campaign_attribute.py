@@ -5,15 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 from safety_harness.base.exceptions import LedgerError
-from safety_harness.cli.attribute import conclude
 from safety_harness.cli.console import say
 from safety_harness.cli.progress import TERMINAL
 from safety_harness.extensions.assurance.campaign.attributed import ViolatedEpisodes, violated_episodes
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.session import plan_of
 from safety_harness.extensions.assurance.certification.verify_runs import programs_in
-from safety_harness.report.attribution_job import attribute_all
-from safety_harness.search.attribution.attribute import ReplaysInWorld
+from safety_harness.extensions.attribution.attribute import ReplaysInWorld
+from safety_harness.extensions.attribution.attribute_job import attribute_all
+from safety_harness.extensions.attribution.commands.attribute_lines import conclude
 
 
 def attribute_ledger(path: Path, most: int, execute: bool, out: Path | None, confirm: bool) -> int:

@@ -23,9 +23,9 @@ from safety_harness.extensions.assurance.campaign.summary import (
 from safety_harness.extensions.assurance.statistics.binomial import ProbabilityBounds
 from safety_harness.extensions.assurance.statistics.rounding import rounded_down, rounded_up
 from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
+from safety_harness.extensions.pages.page_parts import render_page
+from safety_harness.extensions.pages.replay import Replays
 from safety_harness.report.evidence import JudgedRun
-from safety_harness.report.page_parts import render_page
-from safety_harness.report.replay import Replays
 from safety_harness.report.words import with_minus
 from safety_harness.scenario.files import display_path
 from safety_harness.trace.store import load_trace
@@ -162,7 +162,7 @@ def _worst(
     plan: Declared, stratum: int, episode: int, claim: int, margin: float, time_s: float | None, kept: bool
 ) -> Cells:
     at = "–" if time_s is None else f"{time_s:.3f} s"
-    trace = "kept" if kept else "made again from its seed"
+    trace = "kept" if kept else "repeatable from its seed"
     return (plan.strata[stratum], episode, plan.claims[claim], _margin(plan.units[claim], margin), at, trace)
 
 

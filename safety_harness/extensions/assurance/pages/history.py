@@ -20,10 +20,10 @@ from safety_harness.base.exceptions import InputError, Place
 from safety_harness.base.proportions import share_words
 from safety_harness.base.whole_file import write_whole
 from safety_harness.claims.properties.base import SI_UNITS
-from safety_harness.report.axes import Picture
+from safety_harness.extensions.pages.axes import Picture
+from safety_harness.extensions.pages.page_parts import render_page
+from safety_harness.extensions.pages.svg import HANDS
 from safety_harness.report.machine import FORMAT
-from safety_harness.report.page_parts import render_page
-from safety_harness.report.svg import HANDS
 from safety_harness.report.words import count_words, with_minus
 
 REPORT = "report.json"

@@ -20,7 +20,7 @@ from safety_harness.extensions.lab.proof.certificate import NO_PAIR, Proof, mode
 from safety_harness.extensions.lab.proof.maps import EDGES, BoxMap, maps_of
 from safety_harness.extensions.lab.proof.plan import ProofPlan
 from safety_harness.extensions.lab.proof.together import JointBound
-from safety_harness.report.page_parts import in_words, render_page
+from safety_harness.extensions.pages.page_parts import in_words, render_page
 from safety_harness.report.words import point_words
 
 SHARES = ("none of it", "under 1 %", "1 to 10 %", "10 to 50 %", "half or more")

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.base.geometry.arrays import ArrayNx3
-from safety_harness.report.svg import Ink, describe
+from safety_harness.extensions.pages.svg import Ink, describe
 
 # Cells per side; then the sizes in pixels; a choice.
 CELLS, CELL_PX, LEFT_PX, TOP_PX, BELOW_PX, RIGHT_PX = 20, 14, 54, 10, 24, 8

@@ -35,7 +35,7 @@ from safety_harness.extensions.lab.pages.score_tables import (
 )
 from safety_harness.extensions.lab.scoring.results import Scored, ScoredAvoider, ShownQuestion
 from safety_harness.extensions.lab.scoring.scorecard import RegionScore
-from safety_harness.report.page_parts import MOST_OPEN, render_page
+from safety_harness.extensions.pages.page_parts import MOST_OPEN, render_page
 from safety_harness.report.words import point_words
 from safety_harness.scenario.files import display_path
 

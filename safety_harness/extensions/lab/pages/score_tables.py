@@ -101,7 +101,8 @@ def towards_words(card: Scorecard) -> str:
     if math.isnan(share):
         return "No region got a proposal."
     text = f"Towards the hand, most: {100 * share:.3g} % of its proposals in {region}"
-    return text + (f", and {100 * OFTEN_TOWARDS:g} % are too many for green." if not is_green(card) else ".")
+    limit = f", and more than {100 * OFTEN_TOWARDS:g} % are too many for green."
+    return text + ("." if is_green(card) else limit)
 
 
 def is_green(card: Scorecard) -> bool:

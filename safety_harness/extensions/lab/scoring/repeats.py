@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from safety_harness.admission.avoiders import is_executed, resolve_avoider, scenario_of_avoider
 from safety_harness.base.exceptions import Place
 from safety_harness.cell.avoidance.avoider import Avoider
-from safety_harness.cell.avoidance.isolation.isolated import processes_apart
+from safety_harness.cell.avoidance.isolation.apart import processes_apart
 from safety_harness.extensions.lab.scoring.asking import asked_alone, asked_together
 from safety_harness.extensions.lab.scoring.questions import Answers, Questions
 from safety_harness.extensions.lab.scoring.scorecard import AskedAgain, WayOfAsking

@@ -1,0 +1,1 @@
+"""Attribute violations to parts of the system, and provide ``safety-harness attribute``."""
