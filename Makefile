@@ -28,7 +28,7 @@ test-all: test slow
 # What tests/slow.txt names, less what LESS ignores: pytest does not ignore a file that it is given.
 slow: NAMED = $(filter-out $(patsubst --ignore=%,%,$(LESS)),$(shell \
 	cut -d: -f1 tests/slow.txt | sort -u | xargs -I% find tests paper/tests -name %))
-slow: OF_CORE = $(filter $(addsuffix %,$(filter-out --%,$(CORE) $(LIGHT))),$(NAMED))
+slow: OF_CORE = $(filter-out $(TOY),$(filter $(addsuffix %,$(filter-out --%,$(CORE) $(LIGHT))),$(NAMED)))
 slow: warm
 	$(call run,$(SLOW) $(OF_CORE),$(ALONE))
 	$(call run,$(SLOW) $(LESS) $(filter-out $(OF_CORE),$(NAMED)))

@@ -240,9 +240,14 @@ def report_line(folder: Path) -> str:
 
 
 def write_page(path: Path, runs: Sequence[JudgedRun], **of_all: Any) -> None:
-    """Write the page of runs, if a package draws pages; see ``safety_harness.write_report``."""
+    """Write the page of runs, if a package draws pages; see ``safety_harness.write_report``.
+
+    Otherwise remove an earlier page, which a reader would take for the page of these runs.
+    """
     if (draw := optional_part(ExtensionPoint.PAGES, "runs", FunctionType)) is not None:
         draw(path, runs, **of_all)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def saved(trace: Trace, folder: Path, recordings: Mapping[str, bytes] | None = None) -> Path:

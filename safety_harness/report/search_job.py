@@ -274,9 +274,11 @@ def _write_interim(session: SearchSession) -> None:
 
 
 def _write_page(folder: Path, evidence: SearchEvidence, *, finished: bool) -> bool:
-    """Write the search's page, and return False if no package draws pages."""
+    """Write the search's page; if no package draws pages, remove an earlier page and return False."""
     if (draw := optional_part(ExtensionPoint.PAGES, "fuzz", FunctionType)) is not None:
         draw(folder, evidence, finished=finished)
+    else:
+        (folder / PAGE).unlink(missing_ok=True)
     return draw is not None
 
 

@@ -344,6 +344,8 @@ def test_pages_and_explanations_of_a_package_take_the_place_of_wings_that_are_ab
     (tmp_path / "space.yaml").write_text(space.replace("speed: 1 m/s", "speed: from 0.9 m/s to 1.1 m/s"))
     for name in ("hand", "other"):
         (tmp_path / f"{name}.yaml").write_text(VIOLATED)
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "report.html").write_text("the page of an earlier run")
     alone = without_wings.called("run", "hand.yaml", "--world", "kinematic", "--out", "a", folder=tmp_path)
     assert "report: a/report.json" in alone.stderr
     assert not (tmp_path / "a" / "report.html").exists()

@@ -79,13 +79,6 @@ def test_every_shipped_network_runs_behind_the_gate_with_its_own_threshold(name:
 
 
 @pytest.mark.usefixtures("_ran")
-def test_the_report_repeats_the_command_with_its_avoider() -> None:
-    page = Path("out/report.html").read_text()
-    assert "safety-harness run visit.yaml --out out --avoider mine.py:Mine" in page
-    assert "safety-harness replay out/traces/visit.trace --avoider mine.py:Mine" in page
-
-
-@pytest.mark.usefixtures("_ran")
 def test_a_trace_never_executes_the_program_that_it_names(capsys: pytest.CaptureFixture[str]) -> None:
     Path("mine.ran").unlink()
     assert replay(trace_of("out")) == BAD_INPUT
@@ -195,7 +188,6 @@ def test_run_says_what_decisions_cost_and_when_they_take_longer_here_and_no_bit_
     )
     assert replay(trace_of("out0.13"), "mine.py:Mine") == AS_EXPECTED
     for folder in ("out0", "out0.13"):
-        assert modelled in (Path(folder) / "report.html").read_text()
         assert modelled in (Path(folder) / "report.json").read_text()
 
 

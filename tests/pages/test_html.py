@@ -405,4 +405,4 @@ def test_of_many_runs_those_that_matter_most_are_drawn() -> None:
     (dropped, *_) = (k for k, is_drawn in enumerate(drawn) if not is_drawn)
     words = page.one(f"run-{dropped + 1}").text
     assert f"safety-harness judge 'traces/run {dropped}.trace' --out 'run {dropped}'" in words
-    assert f"{MOST_IN_FULL} of {len(runs)} runs are drawn: first the unexpected runs" in page.text
+    assert f"{MOST_IN_FULL} of {len(runs)} runs are drawn: first cut-short or unexpected runs" in page.text

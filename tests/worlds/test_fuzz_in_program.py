@@ -49,7 +49,7 @@ def test_a_simulator_that_moves_as_our_own_world_has_the_findings_of_our_own_wor
     assert fuzz(Path("short.yaml"), out=theirs, budget=12, world=command(KINEMATIC_CELL)) == DIFFERS
     assert found_in(theirs) == found_in(ours)
     page = (theirs / "fuzz.html").read_text()
-    assert f"Runs are searched in the simulator {command(KINEMATIC_CELL)}" in page
+    assert f"The search runs in the simulator {command(KINEMATIC_CELL)}" in page
     assert "No verdict differs between the two" not in page  # that was measured of another world
     assert f"--world '{command(KINEMATIC_CELL)}'" in page.replace("&#39;", "'")
 
