@@ -61,8 +61,8 @@ class ExtensionPoint(StrEnum):
     PAGE_SECTIONS = "safety_harness.page_sections"
     """``extensions.pages.page_parts.PageSection``: a table on the page of runs or of evidence."""
     PAGES = "safety_harness.pages"
-    """``Callable``: writes the page or picture of a job's result; its name is ``runs``, ``fuzz`` or
-    ``attribution``."""
+    """``Callable``: writes the page or picture of a job's result; its name is ``runs``, ``fuzz``,
+    ``coverage`` or ``attribution``."""
     EXPLAINERS = "safety_harness.explainers"
     """``type[search.explaining.SearchExplainer]``: explains the violations that a search finds."""
     WARMING = "safety_harness.warming"

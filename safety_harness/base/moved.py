@@ -38,11 +38,8 @@ MOVED = {
     "settings": "base.settings",
     "simulation.worlds": "cell.simulation.worlds",
 }
-_TOPS = {name.partition(".")[0] for name in MOVED} - {
-    "claims",
-    "report",
-    "search",
-}  # these packages still exist
+STAYED = {"claims", "report", "search"}  # packages of which only parts moved
+_TOPS = {name.partition(".")[0] for name in MOVED} - STAYED
 
 
 class _FromNewPlace(Loader):

@@ -217,7 +217,7 @@ def write_files(out: Path, runs: Sequence[JudgedRun], *, title: str, command: st
         runs: The judged runs.
         title: The title of the page.
         command: The command line that the page shows.
-        of_all: Additional arguments for ``write_page`` and ``report_data``.
+        of_all: Additional arguments for ``safety_harness.write_report`` and ``report_data``.
 
     Raises:
         OutputError: The folder cannot be written.
@@ -228,7 +228,7 @@ def write_files(out: Path, runs: Sequence[JudgedRun], *, title: str, command: st
 
     with writing(out / REPORT):
         now = datetime.now(UTC)
-        write_page(out / REPORT, runs, title=title, command=command, generated_at=now, **of_all)
+        draw_page("runs", out / REPORT, runs, title=title, command=command, generated_at=now, **of_all)
         write_json(out / DATA, report_data(runs, **of_all))
         write_for_ci(out, runs)
 
@@ -239,15 +239,27 @@ def report_line(folder: Path) -> str:
     return f"report: {page} (for programs: {DATA})" if page.exists() else f"report: {folder / DATA}"
 
 
-def write_page(path: Path, runs: Sequence[JudgedRun], **of_all: Any) -> None:
-    """Write the page of runs, if a package draws pages; see ``safety_harness.write_report``.
+def draw_page(name: str, path: Path, content: object, **details: object) -> bool:
+    """Write a page or picture, and return whether a package draws it.
 
-    Otherwise remove an earlier page, which a reader would take for the page of these runs.
+    If no package draws it, remove an earlier file, which a reader would take for the file of this result.
+
+    Args:
+        name: The name of the entry point, such as ``runs``.
+        path: The file.
+        content: The result that the page shows.
+        **details: Further arguments of the function that draws.
+
+    Raises:
+        OutputError: The file cannot be written.
+
     """
-    if (draw := optional_part(ExtensionPoint.PAGES, "runs", FunctionType)) is not None:
-        draw(path, runs, **of_all)
-    else:
+    draw = optional_part(ExtensionPoint.PAGES, name, FunctionType)
+    if draw is None:
         path.unlink(missing_ok=True)
+        return False
+    draw(path, content, **details)
+    return True
 
 
 def saved(trace: Trace, folder: Path, recordings: Mapping[str, bytes] | None = None) -> Path:

@@ -9,7 +9,6 @@ from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from math import isfinite
 from pathlib import Path
-from types import FunctionType
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.agreement import measured_agreement
@@ -31,6 +30,7 @@ from safety_harness.cell.simulation.worlds import KINEMATIC, WorldEntry, world_n
 from safety_harness.claims.properties.against import Against
 from safety_harness.claims.properties.answered import fallback_words
 from safety_harness.report.decisions import cost_words
+from safety_harness.report.run_result import draw_page
 from safety_harness.report.search_evidence import SearchEvidence
 from safety_harness.scenario.files import display_path
 from safety_harness.scenario.model import Driver
@@ -48,7 +48,7 @@ from safety_harness.space.read import read_space
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.trace.provenance import provenance
 
-PAGE = "fuzz.html"
+PAGE, COVERAGE = "fuzz.html", "coverage.svg"
 EXPLAIN = ("causes", "all")
 
 
@@ -236,7 +236,8 @@ class SearchResult:
         made = replace(self, session=session, evidence=evidence)
         with one_more_ctrl_c(output.say, f"writing {out / PAGE}; Ctrl-C once more gives it up") as given_up:
             write_text(out / FINDINGS, json.dumps(made.data(), indent=1) + "\n")
-            drawn = _write_page(out, evidence, finished=True)
+            draw_page("coverage", out / COVERAGE, evidence)
+            drawn = draw_page("fuzz", out / PAGE, evidence)
         output.say(
             f"page: {out / PAGE} (for programs: {FINDINGS})" if drawn else f"findings: {out / FINDINGS}"
         )
@@ -268,18 +269,9 @@ def _write_interim(session: SearchSession) -> None:
         unfinished.interrupted = True  # the page says so unless a later page replaces it
         try:
             evidence = replace(evidence_of(session), findings=unfinished)
-            _write_page(session.out, evidence, finished=False)
+            draw_page("fuzz", session.out / PAGE, evidence)
         except OutputError as error:
             session.unwritable = error
-
-
-def _write_page(folder: Path, evidence: SearchEvidence, *, finished: bool) -> bool:
-    """Write the search's page; if no package draws pages, remove an earlier page and return False."""
-    if (draw := optional_part(ExtensionPoint.PAGES, "fuzz", FunctionType)) is not None:
-        draw(folder, evidence, finished=finished)
-    else:
-        (folder / PAGE).unlink(missing_ok=True)
-    return draw is not None
 
 
 def evidence_of(session: SearchSession, explainer: SearchExplainer | None = None) -> SearchEvidence:

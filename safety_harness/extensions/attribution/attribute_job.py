@@ -6,14 +6,12 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import FunctionType
 
 from safety_harness.admission.admit import Admitted, Admitter
 from safety_harness.admission.avoiders import one_of, with_avoider, with_program
 from safety_harness.admission.driving import refuse_other_parts
 from safety_harness.admission.trial import judge
 from safety_harness.base.exceptions import InputError, Place, ScenarioError, described
-from safety_harness.base.extension_points import ExtensionPoint, optional_part
 from safety_harness.base.input_errors import InputErrors, each_once, usable
 from safety_harness.base.output import AS_EXPECTED, DIFFERS, INTERRUPTED, QUIET, Output
 from safety_harness.base.shipped.contents import located
@@ -30,7 +28,7 @@ from safety_harness.extensions.attribution.attribute import attribute as attribu
 from safety_harness.extensions.attribution.search_attribution import confirming_line
 from safety_harness.extensions.attribution.shielding import attribute_shield
 from safety_harness.extensions.attribution.tally import AttributionTally
-from safety_harness.report.run_result import RunResult
+from safety_harness.report.run_result import RunResult, draw_page
 from safety_harness.report.shielding import slowings
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.files import as_path
@@ -148,8 +146,7 @@ class AttributionResult:
         Raise OutputError if the folder cannot be written.
         """
         write_text(Path(folder) / DATA, json.dumps(self.data(), indent=1) + "\n")
-        if (draw := optional_part(ExtensionPoint.PAGES, "attribution", FunctionType)) is not None:
-            draw(Path(folder) / PICTURE, self.tally.groups)
+        draw_page("attribution", Path(folder) / PICTURE, self.tally.groups)
         return self
 
 

@@ -33,7 +33,6 @@ from safety_harness.search.result_lines import basis_of_search, not_found_words
 from safety_harness.search.written import WrittenCounterexample
 from safety_harness.trace.trace import Trace
 
-PAGE, COVERAGE = "fuzz.html", "coverage.svg"
 MOST_GROUPS = 100  # rows in the table of violations
 WIDTH_PX, PANEL_PX, TOP_PX, GAP_PX, LEFT_PX, RIGHT_PX = 960.0, 130.0, 30.0, 62.0, 76.0, 20.0
 INKS = (Ink.TCP, Ink.HAND_2)  # the search, the baseline
@@ -101,14 +100,14 @@ def render(evidence: SearchEvidence) -> str:
     )
 
 
-def write_search_page(folder: Path, evidence: SearchEvidence, *, finished: bool) -> None:
-    """Write fuzz.html and, for a ``finished`` search, coverage.svg into ``folder``.
+def write_search_page(path: Path, evidence: SearchEvidence) -> None:
+    """Write the page of a search; raise OutputError if the file cannot be written."""
+    write_text(path, render(evidence))
 
-    Raise OutputError if the folder cannot be written.
-    """
-    if finished:
-        write_text(folder / COVERAGE, standalone(map_of(evidence), style=asset("report.css")))
-    write_text(folder / PAGE, render(evidence))
+
+def write_coverage(path: Path, evidence: SearchEvidence) -> None:
+    """Write the coverage of a search as an SVG file; raise OutputError if the file cannot be written."""
+    write_text(path, standalone(map_of(evidence), style=asset("report.css")))
 
 
 def map_of(evidence: SearchEvidence) -> str:

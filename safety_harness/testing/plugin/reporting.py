@@ -20,7 +20,7 @@ from safety_harness.claims.properties.base import Evaluation
 from safety_harness.claims.properties.tally import ClaimTally
 from safety_harness.report.evidence import JudgedRun, notes_of
 from safety_harness.report.machine import report_data, write_json
-from safety_harness.report.run_result import write_page
+from safety_harness.report.run_result import draw_page
 from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.testing.plugin.explained import explained
 from safety_harness.testing.plugin.payloads import EndedTest
@@ -73,7 +73,8 @@ def write_reports(
     """
     try:
         runs = list(_runs(sent))
-        write_page(
+        draw_page(
+            "runs",
             file,
             runs,
             title=TITLE,

@@ -67,8 +67,8 @@ from safety_harness.extensions.assurance.certification.stored import Stored
 from safety_harness.extensions.assurance.certification.tools import Credibility, HarnessTrials
 from safety_harness.extensions.assurance.certification.verify_files import Examination, ReportFolder, few
 from safety_harness.extensions.assurance.certification.whose_fault import whose_fault
-from safety_harness.extensions.pages.search_page import COVERAGE
-from safety_harness.extensions.pages.search_page import PAGE as SEARCH_PAGE
+from safety_harness.report.search_job import COVERAGE
+from safety_harness.report.search_job import PAGE as SEARCH_PAGE
 from safety_harness.scenario.files import read_bytes
 from safety_harness.scenario.typed_json import plain
 from safety_harness.trace.provenance import provenance

@@ -73,7 +73,8 @@ def conclude(attributed: AttributionResult, out: Path | None) -> int:
     document(**attributed.data())
     if out is not None:
         attributed.write(out)
-        say(f"picture: {out / PICTURE} (for programs: {DATA})")
+        drawn = (out / PICTURE).exists()
+        say(f"picture: {out / PICTURE} (for programs: {DATA})" if drawn else f"causes: {out / DATA}")
     if attributed.interrupted:
         say("interrupted: the finished attributions are above; the same command repeats all")
     return attributed.exit_code
